@@ -1,0 +1,133 @@
+"""What a plug-in must offer. ``slam_bof`` knows its partners only by these protocols.
+
+A plug-in is a class found by an entry point (see ``registry``). One that takes options
+declares them as a nested ``Params`` (a ``slam_bof.types.Params``) and is built as
+``Plugin(Plugin.Params(...))``; data sets are built by ``open``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.types import (
+    Array,
+    DepthFrame,
+    Intrinsics,
+    Keyframe,
+    Loop,
+    Pose,
+    Step,
+    Trajectory,
+    Verification,
+)
+
+__all__ = ["Backend", "Dataset", "NullObserver", "Observer", "Odometry", "Verifier"]
+
+
+@runtime_checkable
+class Dataset(Protocol):
+    """A sequence of depth frames on disk, read one by one."""
+
+    name: ClassVar[str]
+    sequence: str
+    """Scene and sequence, such as ``redkitchen/seq-01``."""
+    intrinsics: Intrinsics
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell whether the folder is of this layout, by its content."""
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open a sequence; ``DatasetError`` names what is missing or malformed."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+
+    def frame(self, index: int) -> DepthFrame:
+        """Read a frame; ``DatasetError`` where the file cannot be read."""
+
+    def color(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the (H, W, 3) RGB image registered to the depth image, if there is one."""
+
+    def groundtruth(self) -> Trajectory | None:
+        """Return ``T_world_camera`` of every frame (NaN where unknown), if there are any."""
+
+    def scenes(self) -> tuple[str, ...] | None:
+        """Return the true scene label of every frame, if there are any."""
+
+
+@runtime_checkable
+class Odometry(Protocol):
+    """Tracks the camera from frame to frame."""
+
+    def process(self, frame: DepthFrame) -> Pose:
+        """Return ``T_odom_camera``, identity for the first frame; never fails on empty frames."""
+
+    def reset(self) -> None:
+        """Forget everything: the next frame is a first one."""
+
+
+@runtime_checkable
+class Verifier(Protocol):
+    """Decides by geometry whether two keyframes show the same place, and from where."""
+
+    def prepare(self, points_camera: Array) -> Any:
+        """Make of points (N, 3) what ``verify`` needs; kept with the keyframe."""
+
+    def verify(self, query: Any, match: Any, *, T_match_query: Pose | None = None) -> Verification:
+        """Align the query's cloud with the match's, from the guess or, without one, globally."""
+
+
+@runtime_checkable
+class Backend(Protocol):
+    """A pose graph over keyframes."""
+
+    def add_keyframe(self, keyframe: Keyframe) -> None:
+        """Add a node, and its odometry factor to the node before it."""
+
+    def add_loop(self, loop: Loop) -> None:
+        """Add a verified edge, with a robust kernel."""
+
+    def update(self) -> None:
+        """Optimise incrementally with all that came since the last call."""
+
+    def optimize(self) -> None:
+        """Optimise the whole graph until it converges."""
+
+    def poses(self) -> Array:
+        """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
+
+    def write_g2o(self, path: Path) -> None:
+        """Write the graph as .g2o (translation first, as g2o has it)."""
+
+
+@runtime_checkable
+class Observer(Protocol):
+    """Looks on while frames are processed: a progress bar, a live viewer, a test."""
+
+    def on_start(self, n_frames: int) -> None:
+        """Take note of how many frames will come."""
+
+    def on_step(self, frame_index: int, step: Step) -> None:
+        """Take note of a processed frame."""
+
+    def on_warning(self, message: str) -> None:
+        """Take note of something that went wrong but did not stop the run."""
+
+
+class NullObserver:
+    """The observer for when nobody looks."""
+
+    def on_start(self, n_frames: int) -> None:
+        """Do nothing."""
+
+    def on_step(self, frame_index: int, step: Step) -> None:
+        """Do nothing."""
+
+    def on_warning(self, message: str) -> None:
+        """Do nothing."""

@@ -1,0 +1,140 @@
+"""Rigid transforms as (4, 4) matrices: inverse, exp, log, interpolation, alignment.
+
+Tangent vectors are (6,), rotation first, as GTSAM has them. Functions broadcast over
+leading axes: (..., 4, 4) in, (..., 4, 4) out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from slam_bof.types import Array, Pose
+
+__all__ = [
+    "align",
+    "exp",
+    "from_quaternion",
+    "interpolate",
+    "inverse",
+    "log",
+    "nearest_rotation",
+    "pose",
+    "rotation_angle",
+    "to_quaternion",
+    "transform",
+]
+
+
+def pose(R: ArrayLike, t: ArrayLike) -> Pose:
+    """Compose a (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = t
+    return T
+
+
+def inverse(T: Pose) -> Pose:
+    """Invert transforms (..., 4, 4).
+
+    >>> T = exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+    >>> np.allclose(inverse(T) @ T, np.eye(4))
+    True
+    """
+    T = np.asarray(T, dtype=np.float64)
+    R_t = np.swapaxes(T[..., :3, :3], -1, -2)
+    inverted = np.zeros_like(T)
+    inverted[..., :3, :3] = R_t
+    inverted[..., :3, 3] = -(R_t @ T[..., :3, 3:])[..., 0]
+    inverted[..., 3, 3] = 1.0
+    return inverted
+
+
+def exp(tangent: Array) -> Pose:
+    """Map tangent vectors (..., 6), rotation first, to transforms (..., 4, 4)."""
+    tangent = np.asarray(tangent, dtype=np.float64)
+    flat = RigidTransform.from_exp_coords(tangent.reshape(-1, 6)).as_matrix()
+    return np.asarray(flat).reshape(*tangent.shape[:-1], 4, 4)
+
+
+def log(T: Pose) -> Array:
+    """Map transforms (..., 4, 4) to tangent vectors (..., 6), rotation first."""
+    T = np.asarray(T, dtype=np.float64)
+    flat = RigidTransform.from_matrix(T.reshape(-1, 4, 4)).as_exp_coords()
+    return np.asarray(flat).reshape(*T.shape[:-2], 6)
+
+
+def transform(T_a_b: Pose, points_b: Array) -> Array:
+    """Return points (N, 3) of frame b in frame a."""
+    return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def rotation_angle(T: Pose) -> Array:
+    """Return the rotation angle, in [0, pi] radians, of (..., 4, 4) or (..., 3, 3)."""
+    T = np.asarray(T, dtype=np.float64)
+    R = T[..., :3, :3]
+    # atan2 of sine and cosine keeps its precision at 0 and at pi, where arccos loses it.
+    axis = np.stack(
+        [
+            R[..., 2, 1] - R[..., 1, 2],
+            R[..., 0, 2] - R[..., 2, 0],
+            R[..., 1, 0] - R[..., 0, 1],
+        ],
+        axis=-1,
+    )
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    return np.asarray(np.arctan2(np.linalg.norm(axis, axis=-1), trace - 1.0))
+
+
+def interpolate(T_a: Pose, T_b: Pose, fraction: float) -> Pose:
+    """Return the pose at ``fraction`` in [0, 1] on the geodesic between two poses (4, 4)."""
+    step: Pose = exp(fraction * log(inverse(T_a) @ T_b))
+    return np.asarray(T_a @ step)
+
+
+def nearest_rotation(R: ArrayLike) -> Array:
+    """Project a (3, 3) matrix that is almost a rotation to the nearest one (SVD)."""
+    U, _, Vt = np.linalg.svd(np.asarray(R, dtype=np.float64))
+    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+
+
+def align(points_reference: Array, points_estimate: Array) -> Pose:
+    """Find the rigid ``T_reference_estimate`` that fits paired points best (Umeyama 1991).
+
+    Parameters
+    ----------
+    points_reference, points_estimate
+        (N, 3) paired points, N at least 1; without enough spread (N < 3, or a line) one of
+        the best rotations is returned.
+
+    Returns
+    -------
+    Pose
+        (4, 4), no scale.
+    """
+    if points_reference.shape != points_estimate.shape or points_reference.ndim != 2:
+        raise ValueError(
+            f"points must be paired (N, 3), got {points_reference.shape} "
+            f"and {points_estimate.shape}"
+        )
+    mean_reference = points_reference.mean(axis=0)
+    mean_estimate = points_estimate.mean(axis=0)
+    covariance = (points_reference - mean_reference).T @ (points_estimate - mean_estimate)
+    R = nearest_rotation(covariance)
+    return pose(R, mean_reference - R @ mean_estimate)
+
+
+def from_quaternion(quaternion_xyzw: ArrayLike, t: ArrayLike) -> Pose:
+    """Compose (..., 4, 4) transforms of quaternions (..., 4) x y z w and translations (..., 3)."""
+    quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
+    T = np.zeros((*quaternion.shape[:-1], 4, 4))
+    T[..., :3, :3] = Rotation.from_quat(quaternion).as_matrix()
+    T[..., :3, 3] = t
+    T[..., 3, 3] = 1.0
+    return T
+
+
+def to_quaternion(T: Pose) -> Array:
+    """Return the unit quaternions (..., 4), x y z w with w >= 0, of transforms (..., 4, 4)."""
+    return np.asarray(Rotation.from_matrix(T[..., :3, :3]).as_quat(canonical=True))

@@ -1,0 +1,236 @@
+"""The records that travel between the stages, all frozen.
+
+Poses are 4x4 float64 matrices named ``T_a_b``: ``p_a = T_a_b @ p_b``. Camera
+frames are x right, y down, z forward. Metres, radians and seconds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict
+
+__all__ = [
+    "Array",
+    "Bag",
+    "Candidate",
+    "Contours",
+    "DepthFrame",
+    "Intrinsics",
+    "Keyframe",
+    "Loop",
+    "Params",
+    "Pose",
+    "Scene",
+    "Step",
+    "Trajectory",
+    "Verification",
+]
+
+Array = NDArray[np.float64]
+Pose = NDArray[np.float64]
+"""A rigid transform as a (4, 4) matrix."""
+
+INVALID_DEPTH_MM = 65535
+"""What 7-Scenes writes, besides 0, where the sensor saw nothing."""
+
+
+class Params(BaseModel):
+    """Base of every part's parameters: frozen, and an unknown key is an error."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole camera: focal lengths and principal point in pixels, image size."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthFrame:
+    """One depth image with its time and camera.
+
+    Parameters
+    ----------
+    stamp_s
+        Time in seconds, on any clock that grows.
+    depth
+        (H, W), either uint16 millimetres (0 and 65535 missing) or float metres
+        (0, negative and non-finite missing).
+    intrinsics
+        Of the depth camera, for this image size.
+
+    Raises
+    ------
+    ValueError
+        If the image is not (H, W) as the intrinsics say, or of another type.
+    """
+
+    stamp_s: float
+    depth: NDArray[Any]
+    intrinsics: Intrinsics
+
+    def __post_init__(self) -> None:
+        """Check shape and type, once, where the image enters."""
+        expected = (self.intrinsics.height, self.intrinsics.width)
+        if self.depth.shape != expected:
+            raise ValueError(f"depth must be {expected} as its intrinsics, got {self.depth.shape}")
+        if self.depth.dtype != np.uint16 and self.depth.dtype.kind != "f":
+            raise ValueError(f"depth must be uint16 mm or float m, got {self.depth.dtype}")
+
+    def depth_m(self, stride: int = 1) -> NDArray[np.float32]:
+        """Return every ``stride``-th pixel's depth in metres, 0 where it is missing."""
+        depth = self.depth[::stride, ::stride]
+        if depth.dtype == np.uint16:
+            metres = depth * np.float32(0.001)
+            metres[depth == INVALID_DEPTH_MM] = 0.0
+            return metres
+        valid = np.isfinite(depth) & (depth > 0)
+        return np.where(valid, depth, 0.0).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contours:
+    """The closed contours of one frame's layer images.
+
+    ``points_px[i]`` is an (M_i, 2) int32 array of (x, y) pixels in order, found in
+    layer ``layer[i]``; ``layer`` is (C,) int32.
+    """
+
+    points_px: tuple[NDArray[np.int32], ...]
+    layer: NDArray[np.int32]
+
+    def __len__(self) -> int:
+        """Return the number of contours."""
+        return len(self.points_px)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bag:
+    """A sparse bag of visual words: sorted distinct words and their L1-normalised weights.
+
+    ``words`` is (W,) int32, ``weights`` (W,) float32, positive, summing to 1 (or both
+    empty, for a frame that shows nothing).
+    """
+
+    words: NDArray[np.int32]
+    weights: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """A scene label with the probability of each class, (C,), in ``classes`` order."""
+
+    label: str
+    probability: float
+    classes: tuple[str, ...]
+    probabilities: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A frame that the map keeps: ids count keyframes, ``frame_index`` counts frames."""
+
+    id: int
+    frame_index: int
+    stamp_s: float
+    T_odom_camera: Pose
+    bag: Bag
+    scene: Scene | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verification:
+    """What geometry says of a pair of point clouds.
+
+    ``overlap`` is the share of the query's points with a match nearby, ``rmse_m`` their
+    point-to-plane error, ``information`` (6, 6) is for the tangent of ``T_match_query``,
+    rotation first, as GTSAM has it. ``reason`` says in words why ``accepted`` is false.
+    """
+
+    accepted: bool
+    reason: str
+    T_match_query: Pose
+    overlap: float
+    rmse_m: float
+    information: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """One line of the audit trail: a pair of keyframes considered, and what became of it.
+
+    ``source`` is ``bag`` (place recognition) or ``proximity`` (the map already says the two
+    are near). ``decision`` is ``accepted`` or ``rejected``, ``reason`` says why in words.
+    """
+
+    query_id: int
+    match_id: int
+    source: str
+    score: float = float("nan")
+    normaliser: float = float("nan")
+    eta: float = float("nan")
+    scene_agreement: float = float("nan")
+    n_consistent: int = 0
+    overlap: float = float("nan")
+    rmse_m: float = float("nan")
+    decision: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loop:
+    """A verified edge of the pose graph between two keyframes.
+
+    ``kind`` is ``loop`` where the keyframes are far apart in time, and ``covisibility``
+    where they are near neighbours that see the same surfaces.
+    """
+
+    query_id: int
+    match_id: int
+    T_match_query: Pose
+    information: Array
+    kind: str
+    source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """The answer to one frame.
+
+    ``keyframe`` is None where the frame was not made one; ``scene`` is the latest label;
+    ``loops`` the loops accepted just now; ``T_map_odom`` corrects the odometry frame, as
+    REP-105 has it: ``T_map_camera = T_map_odom @ T_odom_camera``.
+    """
+
+    keyframe: Keyframe | None
+    scene: Scene | None
+    loops: tuple[Loop, ...]
+    T_map_odom: Pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Stamps (N,) in seconds, and the poses (N, 4, 4) ``T_world_camera`` at them."""
+
+    stamps_s: Array = field(default_factory=lambda: np.empty(0))
+    poses: Array = field(default_factory=lambda: np.empty((0, 4, 4)))
+
+    def __post_init__(self) -> None:
+        """Check that there is one pose for each stamp."""
+        if self.poses.shape != (len(self.stamps_s), 4, 4):
+            raise ValueError(f"poses must be ({len(self.stamps_s)}, 4, 4), got {self.poses.shape}")
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.stamps_s)
