@@ -87,8 +87,11 @@ def rotation_angle(T: Pose) -> Array:
     return np.asarray(np.arctan2(np.linalg.norm(axis, axis=-1), trace - 1.0))
 
 
-def interpolate(T_a: Pose, T_b: Pose, fraction: float) -> Pose:
-    """Return the pose at ``fraction`` in [0, 1] on the geodesic between two poses (4, 4)."""
+def interpolate(T_a: Pose, T_b: Pose, fraction: float | Array) -> Pose:
+    """Return the pose at ``fraction`` in [0, 1] on the geodesic between two poses (4, 4).
+
+    Of many pairs at once: (N, 4, 4) poses and (N, 1) fractions.
+    """
     step: Pose = exp(fraction * log(inverse(T_a) @ T_b))
     return np.asarray(T_a @ step)
 

@@ -171,12 +171,14 @@ class Candidate:
     """One line of the audit trail: a pair of keyframes considered, and what became of it.
 
     ``source`` is ``bag`` (place recognition) or ``proximity`` (the map already says the two
-    are near). ``decision`` is ``accepted`` or ``rejected``, ``reason`` says why in words.
+    are near); ``kind`` is as in ``Loop``. ``decision`` is ``accepted`` or ``rejected``, and
+    ``reason`` says why in words.
     """
 
     query_id: int
     match_id: int
     source: str
+    kind: str = "loop"
     score: float = float("nan")
     normaliser: float = float("nan")
     eta: float = float("nan")
@@ -209,13 +211,15 @@ class Step:
     """The answer to one frame.
 
     ``keyframe`` is None where the frame was not made one; ``scene`` is the latest label;
-    ``loops`` the loops accepted just now; ``T_map_odom`` corrects the odometry frame, as
-    REP-105 has it: ``T_map_camera = T_map_odom @ T_odom_camera``.
+    ``loops`` are the edges accepted just now, ``candidates`` all that were considered for
+    them; ``T_map_odom`` corrects the odometry frame, as REP-105 has it:
+    ``T_map_camera = T_map_odom @ T_odom_camera``.
     """
 
     keyframe: Keyframe | None
     scene: Scene | None
     loops: tuple[Loop, ...]
+    candidates: tuple[Candidate, ...]
     T_map_odom: Pose
 
 

@@ -1,0 +1,77 @@
+"""Which keyframes see the same surfaces, by the poses that the map has for them.
+
+Bags find a place again after long drift; they are blind to the local slip of odometry. Edges
+between keyframes that look at the same surfaces mend that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.types import Array, Intrinsics, Params, Pose
+
+__all__ = ["CovisibilityParams", "choose_covisible", "view_overlap"]
+
+
+class CovisibilityParams(Params):
+    """How many edges a keyframe gets, and what counts as seeing the same."""
+
+    max_edges: int = Field(8, ge=0, description="a keyframe; 0 turns proximity off")
+    min_overlap: float = Field(0.35, gt=0, le=1, description="share of points in both views")
+    max_range_m: float = Field(5.0, gt=0, description="how far a view reaches")
+
+
+def view_overlap(
+    points_camera: Array,
+    T_map_camera: Pose,
+    T_map_others: Array,
+    intrinsics: Intrinsics,
+    max_range_m: float,
+) -> Array:
+    """Return the share of a view's points that fall into each of the other views.
+
+    Parameters
+    ----------
+    points_camera
+        (N, 3) points that the view sees, in its camera frame.
+    T_map_camera, T_map_others
+        (4, 4) pose of the view, (K, 4, 4) poses of the others.
+    intrinsics, max_range_m
+        Image size and depth that bound a view; occlusion is not considered.
+
+    Returns
+    -------
+    Array
+        (K,) shares in [0, 1].
+    """
+    if len(points_camera) == 0 or len(T_map_others) == 0:
+        return np.zeros(len(T_map_others))
+    T_others_camera = se3.inverse(T_map_others) @ T_map_camera
+    x, y, z = np.moveaxis(
+        points_camera @ np.swapaxes(T_others_camera[:, :3, :3], -1, -2)
+        + T_others_camera[:, None, :3, 3],
+        -1,
+        0,
+    )
+    in_front = (z > 0.0) & (z < max_range_m)
+    depth = np.where(in_front, z, 1.0)
+    u = intrinsics.fx * x / depth + intrinsics.cx
+    v = intrinsics.fy * y / depth + intrinsics.cy
+    inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
+    return np.asarray((in_front & inside).mean(axis=1))
+
+
+def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:
+    """Choose up to ``max_edges`` of the views that overlap enough, spread evenly over time.
+
+    The oldest and the newest are always among them: the one bounds drift, the other slip.
+
+    >>> choose_covisible(np.array([0.9, 0.1, 0.5, 0.6, 0.7]), CovisibilityParams(max_edges=2))
+    [0, 4]
+    """
+    eligible = np.flatnonzero(overlaps >= params.min_overlap)
+    n_chosen = min(params.max_edges, len(eligible))
+    chosen = np.linspace(0, len(eligible) - 1, n_chosen).round().astype(int)
+    return [int(eligible[i]) for i in np.unique(chosen)]

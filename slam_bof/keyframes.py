@@ -1,0 +1,54 @@
+"""Which frames the map keeps."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.types import Params, Pose
+
+__all__ = ["KeyframeParams", "KeyframeSelector"]
+
+
+class KeyframeParams(Params):
+    """Policy ``motion`` keeps a frame that moved enough; ``every`` the paper's k-th frame."""
+
+    policy: Literal["motion", "every"] = "motion"
+    distance_m: float = Field(0.15, gt=0, description="motion: a frame this far from the last")
+    angle_rad: float = Field(0.25, gt=0, description="motion: or turned this much")
+    max_gap: int = Field(
+        15, gt=0, description="motion: at most so many frames from one to the next"
+    )
+    every: int = Field(10, gt=0, description="every: each k-th frame")
+
+
+class KeyframeSelector:
+    """Says of each frame in turn whether it becomes a keyframe; the first always does."""
+
+    def __init__(self, params: KeyframeParams) -> None:
+        self.params = params
+        self._frame_index = -1
+        self._T_odom_camera: Pose | None = None
+
+    def select(self, frame_index: int, T_odom_camera: Pose) -> bool:
+        """Decide for one frame, and remember it if the answer is yes."""
+        chosen = self._T_odom_camera is None or self._is_due(frame_index, T_odom_camera)
+        if chosen:
+            self._frame_index, self._T_odom_camera = frame_index, T_odom_camera
+        return chosen
+
+    def _is_due(self, frame_index: int, T_odom_camera: Pose) -> bool:
+        p = self.params
+        gap = frame_index - self._frame_index
+        if p.policy == "every":
+            return gap >= p.every
+        assert self._T_odom_camera is not None
+        motion = se3.inverse(self._T_odom_camera) @ T_odom_camera
+        return (
+            gap >= p.max_gap
+            or float(np.linalg.norm(motion[:3, 3])) >= p.distance_m
+            or float(se3.rotation_angle(motion)) >= p.angle_rad
+        )
