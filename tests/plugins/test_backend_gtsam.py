@@ -1,0 +1,129 @@
+import numpy as np
+import pytest
+
+from slam_bof import se3
+from slam_bof.types import Bag, Keyframe, Loop
+from slam_bof_plugins.backend_gtsam import GtsamBackend
+
+N = 24
+EMPTY = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+
+
+def circle():
+    """True poses on a closed circle of 2 m, and odometry that drifts along it."""
+    step = se3.exp(np.array([0.0, 2 * np.pi / N, 0.0, 0.0, 0.0, 2.0 * np.pi / N]))
+    drift = se3.exp(np.array([0.002, 0.004, 0.0, 0.003, -0.002, 0.003]))
+    truth, odometry = [np.eye(4)], [np.eye(4)]
+    for _ in range(N):
+        truth.append(truth[-1] @ step)
+        odometry.append(odometry[-1] @ step @ drift)
+    return np.array(truth), np.array(odometry)
+
+
+def error_m(poses, truth):
+    return np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1).max()
+
+
+def loop(truth, query_id, match_id, *, information=None, wrong=None):
+    T = se3.inverse(truth[match_id]) @ truth[query_id]
+    return Loop(
+        query_id,
+        match_id,
+        T if wrong is None else T @ wrong,
+        100.0 * np.eye(6) if information is None else information,
+        "loop",
+        "bag",
+    )
+
+
+def add_keyframes(backend, poses):
+    for i, T in enumerate(poses):
+        backend.add_keyframe(Keyframe(i, i, float(i), T, EMPTY, None))
+        backend.update()
+
+
+@pytest.fixture
+def drifted():
+    truth, odometry = circle()
+    backend = GtsamBackend()
+    add_keyframes(backend, odometry)
+    return backend, truth, odometry
+
+
+def test_without_loops_the_map_is_the_odometry(drifted):
+    backend, _, odometry = drifted
+    backend.optimize()
+    np.testing.assert_allclose(backend.poses(), odometry, atol=1e-6)
+
+
+def test_the_first_pose_need_not_be_the_identity():
+    _, odometry = circle()
+    start = se3.exp(np.array([0.3, 0.1, -0.2, 5.0, 1.0, -2.0]))
+    backend = GtsamBackend()
+    add_keyframes(backend, start @ odometry)
+    np.testing.assert_allclose(backend.poses(), start @ odometry, atol=1e-6)
+
+
+def test_loops_mend_drift_at_once_and_at_the_end(drifted):
+    backend, truth, odometry = drifted
+    before_m = error_m(odometry, truth)
+    closed = slice(-2, None)
+    for query_id, match_id in ((N, 0), (N - 1, 0), (N, 1)):
+        backend.add_loop(loop(truth, query_id, match_id))
+    backend.update()
+    online_m = error_m(backend.poses()[closed], truth[closed])
+    backend.optimize()
+    assert online_m < 0.1 * before_m
+    assert error_m(backend.poses()[closed], truth[closed]) < 0.1 * before_m
+    assert error_m(backend.poses(), truth) < before_m
+
+
+def test_a_wrong_loop_among_true_ones_bends_little(drifted):
+    backend, truth, odometry = drifted
+    for i in range(6):
+        backend.add_loop(loop(truth, N - i, i))
+    away = se3.pose(np.eye(3), [1.5, 0.0, 1.0])
+    backend.add_loop(loop(truth, 12, 2, wrong=away))
+    backend.update()
+    backend.optimize()
+    assert error_m(backend.poses(), truth) < error_m(odometry, truth)
+
+
+def test_an_unobserved_direction_is_left_to_odometry():
+    """A loop against a bare wall knows the distance to it, but nothing along it."""
+    truth = np.array([np.eye(4), se3.pose(np.eye(3), [0.3, 0.0, 0.0])])
+    backend = GtsamBackend()
+    add_keyframes(backend, truth)
+    wall = np.diag([1.0, 1.0, 1e-9, 1e-9, 1e-9, 1.0])
+    slipped = se3.pose(np.eye(3), [0.2, 0.1, 0.05])
+    backend.add_loop(loop(truth, 1, 0, information=wall, wrong=slipped))
+    backend.update()
+    moved = backend.poses()[1, :3, 3] - truth[1, :3, 3]
+    assert abs(moved[2]) > 0.005
+    assert np.abs(moved[:2]).max() < 1e-4
+
+
+def test_g2o_has_translation_first(drifted, tmp_path):
+    backend, truth, _ = drifted
+    information = np.diag([1.0, 2.0, 3.0, 40.0, 50.0, 60.0])
+    backend.add_loop(loop(truth, N, 0, information=information))
+    backend.update()
+    backend.write_g2o(tmp_path / "graph.g2o")
+    lines = (tmp_path / "graph.g2o").read_text().splitlines()
+    nodes = [line.split() for line in lines if line.startswith("VERTEX_SE3:QUAT")]
+    edges = [line.split() for line in lines if line.startswith("EDGE_SE3:QUAT")]
+    assert len(nodes) == N + 1
+    assert len(edges) == N + 1
+    (closing,) = [e for e in edges if {e[1], e[2]} == {"0", str(N)}]
+    upper = np.array(closing[10:], dtype=float)
+    diagonal = upper[[0, 6, 11, 15, 18, 20]]
+    np.testing.assert_allclose(diagonal / diagonal[3], [40, 50, 60, 1, 2, 3], rtol=1e-4)
+
+
+def test_almost_rotations_do_no_harm():
+    _, odometry = circle()
+    sheared = odometry.copy()
+    sheared[:, :3, :3] += 1e-5 * np.random.default_rng(0).standard_normal((N + 1, 3, 3))
+    backend = GtsamBackend()
+    add_keyframes(backend, sheared)
+    np.testing.assert_allclose(backend.poses(), odometry, atol=1e-3)
