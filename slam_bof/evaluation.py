@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof import se3
-from slam_bof.types import Array, Keyframe, Loop, Pose, Trajectory
+from slam_bof.types import Array, Loop, Pose, Trajectory
 
 __all__ = [
     "ErrorStats",
@@ -154,23 +154,23 @@ def rpe(
 
 
 def loop_errors(
-    loops: Sequence[Loop], keyframes: Sequence[Keyframe], reference: Trajectory
+    loops: Sequence[Loop], keyframe_indices: Sequence[int], reference: Trajectory
 ) -> Array:
     """Compare each loop's ``T_match_query`` with ground truth.
 
     Parameters
     ----------
-    loops, keyframes
-        ``keyframes[id]`` is the keyframe of that id.
+    loops, keyframe_indices
+        ``keyframe_indices[id]`` is the frame that the keyframe of that id was.
     reference
-        ``T_world_camera`` in any world frame, paired with keyframes by stamp.
+        ``T_world_camera`` of every frame, in any world frame, NaN where unknown.
 
     Returns
     -------
     Array
         (L, 2) translation in metres and rotation in radians; NaN where the truth is unknown.
     """
-    truth = _truth(keyframes, reference)
+    truth = reference.poses[np.asarray(keyframe_indices, dtype=np.intp)]
     errors = np.full((len(loops), 2), np.nan)
     for row, loop in zip(errors, loops, strict=True):
         T_world_match, T_world_query = truth[[loop.match_id, loop.query_id]]
@@ -183,16 +183,19 @@ def loop_errors(
 
 def loop_precision(
     loops: Sequence[Loop],
-    keyframes: Sequence[Keyframe],
+    keyframe_indices: Sequence[int],
     reference: Trajectory | None,
     *,
     max_translation_m: float = 0.10,
     max_rotation_rad: float = np.radians(5.0),
 ) -> float | None:
-    """Return the share of loops that are right by ground truth; None where none can be told."""
+    """Return the share of loops that are right by ground truth; None where none can be told.
+
+    Parameters are those of ``loop_errors``.
+    """
     if reference is None:
         return None
-    errors = loop_errors(loops, keyframes, reference)
+    errors = loop_errors(loops, keyframe_indices, reference)
     errors = errors[np.isfinite(errors).all(axis=1)]
     if len(errors) == 0:
         return None
@@ -200,7 +203,7 @@ def loop_precision(
 
 
 def revisits(
-    keyframes: Sequence[Keyframe],
+    keyframe_indices: Sequence[int],
     reference: Trajectory,
     *,
     min_age_frames: int = 100,
@@ -210,16 +213,16 @@ def revisits(
     """Tell which keyframes come back to a place.
 
     That is, to within the given distance and angle, by ground truth, of a keyframe at least
-    ``min_age_frames`` older.
+    ``min_age_frames`` older. Parameters are those of ``loop_errors``.
 
     Returns
     -------
     NDArray
         (K,) bool, false where the truth is unknown.
     """
-    truth = _truth(keyframes, reference)
-    index = np.array([keyframe.frame_index for keyframe in keyframes], dtype=np.intp)
-    back = np.zeros(len(keyframes), dtype=bool)
+    index = np.asarray(keyframe_indices, dtype=np.intp)
+    truth = reference.poses[index]
+    back = np.zeros(len(index), dtype=bool)
     for k, T in enumerate(truth):
         old = truth[index <= index[k] - min_age_frames]
         # Comparing with NaN is false, so unknown poses are near nothing.
@@ -230,20 +233,20 @@ def revisits(
 
 
 def loop_recall(
-    keyframes: Sequence[Keyframe], loops: Sequence[Loop], reference: Trajectory | None
+    loops: Sequence[Loop], keyframe_indices: Sequence[int], reference: Trajectory | None
 ) -> float | None:
     """Return the share of the revisiting keyframes that got a loop; None if none revisit.
 
-    Edges between near neighbours in time (``covisibility``) do not count.
+    Edges between near neighbours in time (``covisibility``) do not count. Parameters are those
+    of ``loop_errors``.
     """
-    if reference is None or len(keyframes) == 0:
+    if reference is None:
         return None
-    back = revisits(keyframes, reference)
+    back = revisits(keyframe_indices, reference)
     if not back.any():
         return None
     looped = {loop.query_id for loop in loops if loop.kind == "loop"}
-    got = [keyframe.id in looped for keyframe in keyframes]
-    return float(np.mean(np.array(got)[back]))
+    return float(np.mean([id_ in looped for id_ in np.flatnonzero(back)]))
 
 
 def scene_accuracy(
@@ -312,15 +315,3 @@ def _nearest(stamps_s: Array, among_s: Array) -> Indices:
     before = np.maximum(after - 1, 0)
     earlier = stamps_s - among_s[before] <= among_s[after] - stamps_s
     return np.asarray(np.where(earlier, before, after), dtype=np.intp)
-
-
-def _truth(keyframes: Sequence[Keyframe], reference: Trajectory) -> Array:
-    """Return (K, 4, 4) ground truth of the keyframes, NaN where it is unknown."""
-    stamps_s = np.array([keyframe.stamp_s for keyframe in keyframes], dtype=np.float64)
-    truth = np.full((len(stamps_s), 4, 4), np.nan)
-    if len(stamps_s) == 0 or len(reference) == 0:
-        return truth
-    nearest = _nearest(stamps_s, reference.stamps_s)
-    near = np.abs(reference.stamps_s[nearest] - stamps_s) <= MAX_DIFFERENCE_S
-    truth[near] = reference.poses[nearest[near]]
-    return truth

@@ -2,9 +2,7 @@ import numpy as np
 import pytest
 
 from slam_bof import evaluation, se3
-from slam_bof.types import Bag, Keyframe, Loop, Pose, Trajectory
-
-EMPTY_BAG = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+from slam_bof.types import Loop, Pose, Trajectory
 
 
 def wander(n: int, seed: int = 0) -> Trajectory:
@@ -30,13 +28,6 @@ def without(trajectory: Trajectory, unknown: list[int]) -> Trajectory:
     poses = trajectory.poses.copy()
     poses[unknown] = np.nan
     return Trajectory(trajectory.stamps_s, poses)
-
-
-def keyframes_at(trajectory: Trajectory, indices: list[int]) -> list[Keyframe]:
-    return [
-        Keyframe(k, i, float(trajectory.stamps_s[i]), np.eye(4), EMPTY_BAG, None)
-        for k, i in enumerate(indices)
-    ]
 
 
 def loop(query_id: int, match_id: int, T_match_query: Pose, kind: str = "loop") -> Loop:
@@ -134,11 +125,11 @@ def test_what_cannot_be_known_is_none() -> None:
     assert evaluation.align_trajectory(wander(2), truth) is None
     assert evaluation.rpe(wander(30), truth, 30) is None
     assert evaluation.rpe(wander(31), truth, 30) is not None
-    assert evaluation.loop_precision([], keyframes_at(truth, [0]), truth) is None
+    assert evaluation.loop_precision([], [0], truth) is None
     assert evaluation.loop_precision([], [], None) is None
     assert evaluation.loop_recall([], [], truth) is None
-    assert evaluation.loop_recall(keyframes_at(truth, [0, 9]), [], None) is None
-    assert evaluation.loop_recall(keyframes_at(truth, [0, 9]), [], truth) is None
+    assert evaluation.loop_recall([], [0, 9], None) is None
+    assert evaluation.loop_recall([], [0, 9], truth) is None
     assert evaluation.scene_accuracy(["a"], None) is None
     assert evaluation.scene_accuracy([None], ["a"]) is None
     assert evaluation.scene_accuracy(["a"], [None]) is None
@@ -148,7 +139,7 @@ def test_what_cannot_be_known_is_none() -> None:
 
 def test_loop_errors_and_precision() -> None:
     truth = wander(200)
-    keyframes = keyframes_at(truth, [0, 50, 120, 199])
+    keyframes = [0, 50, 120, 199]
     T_0_2 = se3.inverse(truth.poses[0]) @ truth.poses[120]
     off_by_9_cm = T_0_2 @ se3.exp(np.array([0, 0, 0, 0.09, 0, 0]))
     off_by_11_cm = T_0_2 @ se3.exp(np.array([0, 0, 0, 0, 0.11, 0]))
@@ -164,7 +155,7 @@ def test_loop_errors_and_precision() -> None:
 
 def test_loops_of_unknown_truth_do_not_count() -> None:
     truth = without(wander(200), [50])
-    keyframes = keyframes_at(truth, [0, 50, 120])
+    keyframes = [0, 50, 120]
     T_0_2 = se3.inverse(truth.poses[0]) @ truth.poses[120]
     loops = [loop(2, 0, T_0_2), loop(2, 1, np.eye(4))]
     errors = evaluation.loop_errors(loops, keyframes, truth)
@@ -185,7 +176,7 @@ def there_and_back(angle_rad: float) -> Trajectory:
 
 def test_revisits_are_near_in_place_and_angle_but_not_in_time() -> None:
     truth = there_and_back(np.radians(20.0))
-    keyframes = keyframes_at(truth, list(range(0, 200, 10)))
+    keyframes = range(0, 200, 10)
     back = evaluation.revisits(keyframes, truth)
     # Frame i comes back to frame 199 - i, 100 frames older from about 150 on; 0.3 m is 10 frames.
     assert np.flatnonzero(back).tolist() == [15, 16, 17, 18, 19]
@@ -196,11 +187,11 @@ def test_revisits_are_near_in_place_and_angle_but_not_in_time() -> None:
 
 def test_loop_recall_is_the_share_of_revisits_with_a_loop() -> None:
     truth = there_and_back(0.0)
-    keyframes = keyframes_at(truth, list(range(0, 200, 10)))
+    keyframes = range(0, 200, 10)
     loops = [loop(16, 3, np.eye(4)), loop(19, 0, np.eye(4)), loop(16, 4, np.eye(4))]
     near = [loop(17, 16, np.eye(4), kind="covisibility")]
-    assert evaluation.loop_recall(keyframes, loops + near, truth) == pytest.approx(2 / 5)
-    assert evaluation.loop_recall(keyframes, [], truth) == 0.0
+    assert evaluation.loop_recall(loops + near, keyframes, truth) == pytest.approx(2 / 5)
+    assert evaluation.loop_recall([], keyframes, truth) == 0.0
 
 
 def test_scene_accuracy_counts_known_truth() -> None:
