@@ -1,0 +1,117 @@
+"""Depth frames to points (paper, section 3.2): ``p = ((u - cx) z / fx, (v - cy) z / fy, z)``."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from slam_bof.types import Array, DepthFrame, Intrinsics, Params
+
+__all__ = ["PointParams", "back_project", "points_camera", "points_camera_f32"]
+
+Float = TypeVar("Float", np.float32, np.float64)
+
+
+class PointParams(Params):
+    """Which pixels become points."""
+
+    stride: int = Field(2, gt=0, description="every so many pixels, in each direction")
+    min_range_m: float = Field(0.1, ge=0, description="nearer depths are dropped")
+    max_range_m: float = Field(8.0, gt=0, description="farther depths are dropped")
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        if self.min_range_m >= self.max_range_m:
+            raise ValueError(
+                f"min_range_m must be below max_range_m, got {self.min_range_m} and "
+                f"{self.max_range_m}"
+            )
+        return self
+
+
+def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1) -> Array:
+    """Return the points that a depth image shows.
+
+    Parameters
+    ----------
+    depth_m
+        (ceil(height / stride), ceil(width / stride)) metres, 0 where missing: what
+        ``DepthFrame.depth_m(stride)`` returns.
+    intrinsics
+        Of the full image.
+    stride
+        Pixels of the full image from one entry of ``depth_m`` to the next.
+
+    Returns
+    -------
+    Array
+        (N, 3) float64 ``points_camera`` of the valid pixels, in row-major order.
+
+    Raises
+    ------
+    ValueError
+        If ``depth_m`` is not of the shape that the intrinsics and the stride give.
+
+    Examples
+    --------
+    >>> camera = Intrinsics(width=3, height=1, fx=2.0, fy=2.0, cx=1.0, cy=0.0)
+    >>> back_project(np.array([[4.0, 0.0, 2.0]]), camera).tolist()
+    [[-2.0, 0.0, 4.0], [1.0, 0.0, 2.0]]
+    """
+    return np.ascontiguousarray(_back_project(depth_m, intrinsics, stride, np.float64))
+
+
+def points_camera(frame: DepthFrame, params: PointParams) -> Array:
+    """Return the frame's points within range, (N, 3) float64 ``points_camera``."""
+    depth_m = _depth_in_range(frame, params)
+    return back_project(depth_m, frame.intrinsics, params.stride)
+
+
+def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.float32]:
+    """Return what ``points_camera`` does in single precision, for BOF.
+
+    (N, 3) float32, each column contiguous, which is what ``layers`` is quickest with.
+    """
+    depth_m = _depth_in_range(frame, params)
+    return _back_project(depth_m, frame.intrinsics, params.stride, np.float32)
+
+
+def _depth_in_range(frame: DepthFrame, params: PointParams) -> NDArray[np.float32]:
+    depth_m = frame.depth_m(params.stride)
+    depth_m[(depth_m < params.min_range_m) | (depth_m > params.max_range_m)] = 0.0
+    return depth_m
+
+
+def _back_project(
+    depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int, dtype: type[Float]
+) -> NDArray[Float]:
+    x_per_z, y_per_z = _rays(intrinsics, stride)
+    expected = (len(y_per_z), len(x_per_z))
+    if depth_m.shape != expected:
+        raise ValueError(
+            f"depth_m must be {expected} at stride {stride}, as its intrinsics, got {depth_m.shape}"
+        )
+    depth = depth_m.astype(dtype, copy=False)
+    valid = np.flatnonzero(depth > 0)
+    points = np.empty((3, len(valid)), dtype)
+    # The image is a grid: one row and one column of ray slopes stand for all pixels.
+    points[0] = (depth * x_per_z.astype(dtype)).reshape(-1)[valid]
+    points[1] = (depth * y_per_z.astype(dtype)[:, None]).reshape(-1)[valid]
+    points[2] = depth.reshape(-1)[valid]
+    return points.T
+
+
+@lru_cache(maxsize=16)
+def _rays(intrinsics: Intrinsics, stride: int) -> tuple[Array, Array]:
+    """Return x / z of every column and y / z of every row."""
+    columns = np.arange(0, intrinsics.width, stride, dtype=np.float64)
+    rows = np.arange(0, intrinsics.height, stride, dtype=np.float64)
+    x_per_z: Array = (columns - intrinsics.cx) / intrinsics.fx
+    y_per_z: Array = (rows - intrinsics.cy) / intrinsics.fy
+    x_per_z.setflags(write=False)
+    y_per_z.setflags(write=False)
+    return x_per_z, y_per_z

@@ -1,0 +1,121 @@
+import cv2
+import numpy as np
+import oracle
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from slam_bof.bof import BofParams, describe
+from slam_bof.types import Contours
+
+pixels = st.integers(-50, 300)
+polygons = st.integers(1, 12).flatmap(lambda n: arrays(np.int32, (n, 2), elements=pixels))
+
+
+def contours_of(*points_px):
+    return Contours(
+        tuple(np.asarray(points, np.int32) for points in points_px),
+        np.zeros(len(points_px), np.int32),
+    )
+
+
+def ellipse(a, b, n=400):
+    angle = np.linspace(0, 2 * np.pi, n, endpoint=False)
+    return np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1).round()
+
+
+@given(st.lists(polygons, min_size=1, max_size=4))
+def test_descriptors_equal_the_oracle(shapes):
+    # Areas that almost vanish put the centroid anywhere, where both lose precision.
+    assume(all(not 0 < abs(oracle.shoelace(p.tolist())) < 50 for p in shapes))
+    descriptors = describe(contours_of(*shapes), BofParams(n_points=30))
+    expected = [oracle.bof(shape, 30) for shape in shapes]
+    np.testing.assert_allclose(descriptors, expected, atol=1e-5)
+
+
+@given(st.lists(polygons, min_size=1, max_size=4))
+def test_any_polygon_gives_finite_radii_up_to_one(shapes):
+    descriptors = describe(contours_of(*shapes), BofParams())
+    assert descriptors.dtype == np.float32
+    assert np.isfinite(descriptors).all()
+    assert (descriptors >= 0).all()
+    largest = descriptors.max(axis=1)
+    assert set(largest.tolist()) <= {0.0, 1.0}
+
+
+@given(st.integers(40, 200), st.integers(-100, 100), st.integers(-100, 100))
+def test_a_circle_is_constant(radius, x, y):
+    circle = ellipse(radius, radius) + np.array([x, y])
+    np.testing.assert_allclose(describe(contours_of(circle), BofParams()), 1.0, atol=2 / radius)
+
+
+@given(st.integers(1, 6), pixels, pixels, polygons)
+def test_scale_and_place_change_nothing(scale, x, y, shape):
+    plain, changed = describe(contours_of(shape, scale * shape + [x, y]), BofParams())
+    np.testing.assert_allclose(plain, changed, atol=2e-3)
+
+
+def test_a_turned_square_matches_after_alignment():
+    side = np.arange(100)
+    zero, full = np.zeros(100, int), np.full(100, 100)
+    square = np.concatenate(
+        [
+            np.stack([side, zero], 1),
+            np.stack([full, side], 1),
+            np.stack([100 - side, full], 1),
+            np.stack([zero, 100 - side], 1),
+        ]
+    )
+    diamond = square @ np.array([[1, 1], [-1, 1]])  # by 45 degrees, larger by sqrt(2)
+    a, b = describe(contours_of(square, np.roll(diamond, 37, axis=0)), BofParams())
+    errors = [np.abs(a - np.roll(b, shift)).max() for shift in range(180)]
+    assert min(errors) < 0.02
+
+
+def test_order_is_counter_clockwise_as_seen():
+    # A kite whose far tip points up on a screen (y down): from the right tip, that is a
+    # quarter turn counter-clockwise.
+    right, up, left, down = [30, 0], [0, -60], [-30, 0], [0, 30]
+    shapes = contours_of([right, up, left, down], [right, down, left, up])
+    a, b = describe(shapes, BofParams(n_points=60))
+    np.testing.assert_allclose(a, b, atol=1e-6)
+    assert 10 < a.argmax() < 30
+
+
+def test_opencv_contours_start_as_found():
+    image = np.zeros((60, 60), np.uint8)
+    cv2.ellipse(image, (30, 30), (25, 10), 0, 0, 360, 1, -1)
+    (contour,), _ = cv2.findContours(image, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    descriptor = describe(contours_of(contour[:, 0]), BofParams())[0]
+    start = np.hypot(*(contour[0, 0] - 30))
+    assert descriptor[0] == pytest.approx(start / 25, abs=0.02)
+    assert contour[0, 0, 1] == 20  # which OpenCV finds in the topmost row
+
+
+def test_degenerate_contours_are_defined():
+    point = [[5, 5]]
+    line = [[0, 0], [1, 0], [2, 0], [3, 0], [4, 0], [3, 0], [2, 0], [1, 0]]
+    crescent = ellipse(50, 50)[:300].tolist() + ellipse(45, 45)[:300][::-1].tolist()
+    descriptors = describe(contours_of(point, line, crescent), BofParams(n_points=8))
+    assert descriptors[0].tolist() == [0.0] * 8
+    assert descriptors[1].tolist() == [1.0, 0.5, 0.0, 0.5, 1.0, 0.5, 0.0, 0.5]
+    assert np.isfinite(descriptors[2]).all()
+
+
+def test_descriptors_do_not_depend_on_their_neighbours():
+    shapes = [ellipse(30, 20), [[1, 1]], ellipse(10, 40)[::-1], ellipse(5, 5)]
+    together = describe(contours_of(*shapes), BofParams())
+    alone = np.concatenate([describe(contours_of(shape), BofParams()) for shape in shapes])
+    np.testing.assert_allclose(together, alone, atol=1e-6)
+
+
+def test_no_contours_give_no_descriptors():
+    descriptors = describe(Contours((), np.empty(0, np.int32)), BofParams(n_points=7))
+    assert descriptors.shape == (0, 7)
+    assert descriptors.dtype == np.float32
+
+
+def test_an_empty_contour_is_refused():
+    with pytest.raises(ValueError, match="at least one point"):
+        describe(contours_of(np.empty((0, 2))), BofParams())
