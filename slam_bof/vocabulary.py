@@ -178,7 +178,8 @@ def count_words(frames: Iterable[NDArray[np.int32]], n_words: int) -> Any:
     [[1.0, 0.0, 2.0], [0.0, 0.0, 0.0]]
     """
     counted = [np.unique(words, return_counts=True) for words in frames]
-    indptr = np.cumsum([0, *(len(words) for words, _ in counted)])
+    # scikit-learn's solvers take 32-bit indices only.
+    indptr = np.cumsum([0, *(len(words) for words, _ in counted)], dtype=np.int32)
     indices = np.concatenate([np.empty(0, np.int32), *(words for words, _ in counted)])
     data = np.concatenate([np.empty(0, np.float32), *(counts for _, counts in counted)])
     shape = (len(counted), n_words)

@@ -1,0 +1,53 @@
+"""From one depth frame to one bag of words: the whole chain of the paper's section 3."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.bof import BofParams, describe
+from slam_bof.contours import ContourParams, find_contours
+from slam_bof.layers import LayerParams, layer_images
+from slam_bof.points import PointParams, points_camera_f32
+from slam_bof.types import Bag, DepthFrame, Params
+from slam_bof.vocabulary import TfIdf, Vocabulary
+
+__all__ = ["PlaceDescriber", "PlaceParams", "descriptors"]
+
+
+class PlaceParams(Params):
+    """The parameters of each step; a model holds them, as its words mean nothing without."""
+
+    points: PointParams = PointParams()
+    layers: LayerParams = LayerParams()
+    contours: ContourParams = ContourParams()
+    bof: BofParams = BofParams()
+
+
+def descriptors(frame: DepthFrame, params: PlaceParams) -> NDArray[np.float32]:
+    """Return the BOF descriptors of a frame, (C, n_points), C = 0 where nothing is seen."""
+    points = points_camera_f32(frame, params.points)
+    images = layer_images(points, params.layers)
+    contours = find_contours(images, params.contours)
+    return describe(contours, params.bof)
+
+
+class PlaceDescriber:
+    """Describes depth frames by a trained vocabulary."""
+
+    def __init__(self, params: PlaceParams, vocabulary: Vocabulary, tf_idf: TfIdf) -> None:
+        self.params = params
+        self.vocabulary = vocabulary
+        self.tf_idf = tf_idf
+
+    def describe(self, frame: DepthFrame) -> Bag:
+        """Return the frame's bag of words, empty where the frame shows nothing."""
+        return self.tf_idf.bag(self.words(frame))
+
+    def words(self, frame: DepthFrame) -> NDArray[np.int32]:
+        """Return the visual words of the frame's contours, (C,)."""
+        return self.vocabulary.lookup(self.descriptors(frame))
+
+    def descriptors(self, frame: DepthFrame) -> NDArray[np.float32]:
+        """Return the BOF descriptors of a frame, (C, n_points)."""
+        return descriptors(frame, self.params)

@@ -1,0 +1,114 @@
+"""Training of a model: frames to descriptors to words, idf and scene classifier."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.model import Model
+from slam_bof.places import PlaceParams, descriptors
+from slam_bof.scenes import SceneClassifier
+from slam_bof.types import DepthFrame
+from slam_bof.vocabulary import TfIdf, Vocabulary, count_words
+
+__all__ = ["Descriptors", "TrainingFrame", "describe_frames", "fit_model", "train_model"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrainingFrame:
+    """A depth frame with its scene label, if it has one, and the sequence it comes from."""
+
+    frame: DepthFrame
+    label: str | None = None
+    group: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Descriptors:
+    """The descriptors of all training frames.
+
+    ``values`` (M, n_points) stack those of each frame in turn; ``counts`` (N,) says how many
+    each frame has; ``labels`` and ``groups`` are of the N frames.
+    """
+
+    values: NDArray[np.float32]
+    counts: NDArray[np.intp]
+    labels: tuple[str | None, ...]
+    groups: tuple[str, ...]
+
+
+def train_model(
+    frames: Iterable[TrainingFrame],
+    params: PlaceParams,
+    *,
+    n_words: int = 1024,
+    seed: int = 0,
+    trained_on: str,
+    on_frame: Callable[[int], None] | None = None,
+) -> Model:
+    """Train a model of frames; without labels of two classes it has no scene classifier.
+
+    Parameters
+    ----------
+    frames
+        Read once, one by one.
+    trained_on
+        What the frames are, in words, for the model file.
+    on_frame
+        Called with the number of frames described so far, after each.
+    """
+    described = describe_frames(frames, params, on_frame=on_frame)
+    return fit_model(described, params, n_words=n_words, seed=seed, trained_on=trained_on)
+
+
+def describe_frames(
+    frames: Iterable[TrainingFrame],
+    params: PlaceParams,
+    *,
+    on_frame: Callable[[int], None] | None = None,
+) -> Descriptors:
+    """Return the BOF descriptors of frames."""
+    values = [np.empty((0, params.bof.n_points), np.float32)]
+    labels: list[str | None] = []
+    groups: list[str] = []
+    for n_done, item in enumerate(frames, start=1):
+        values.append(descriptors(item.frame, params))
+        labels.append(item.label)
+        groups.append(item.group)
+        if on_frame is not None:
+            on_frame(n_done)
+    counts = np.array([len(part) for part in values[1:]], np.intp)
+    return Descriptors(np.concatenate(values), counts, tuple(labels), tuple(groups))
+
+
+def fit_model(
+    described: Descriptors,
+    params: PlaceParams,
+    *,
+    n_words: int = 1024,
+    seed: int = 0,
+    trained_on: str,
+    scenes: SceneClassifier | None = None,
+) -> Model:
+    """Fit words, idf and the scene classifier (``scenes``, or the default) to descriptors.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer descriptors than words.
+    """
+    vocabulary = Vocabulary(n_words=n_words, seed=seed).fit(described.values)
+    words = np.split(vocabulary.labels_, np.cumsum(described.counts)[:-1])
+    counts = count_words(words, n_words)
+    tf_idf = TfIdf().fit(counts)
+    labelled = np.array([label is not None for label in described.labels])
+    labels = np.array([label for label in described.labels if label is not None])
+    fitted = None
+    if len(set(labels.tolist())) > 1:
+        bags = tf_idf.transform(counts)[labelled]
+        groups = np.array(described.groups)[labelled]
+        fitted = (scenes or SceneClassifier(seed=seed)).fit(bags, labels, groups)
+    return Model(params, vocabulary, tf_idf, fitted, trained_on)

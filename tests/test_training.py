@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from slam_bof.contours import ContourParams
+from slam_bof.layers import LayerParams
+from slam_bof.places import PlaceParams, descriptors
+from slam_bof.points import PointParams
+from slam_bof.training import TrainingFrame, describe_frames, train_model
+from slam_bof.types import DepthFrame, Intrinsics
+
+CAMERA = Intrinsics(width=40, height=30, fx=35.0, fy=35.0, cx=19.5, cy=14.5)
+PARAMS = PlaceParams(
+    points=PointParams(stride=1),
+    layers=LayerParams(n_layers=3, resolution_px=30),
+    contours=ContourParams(closing_px=3),
+)
+
+
+def frame(kind, seed):
+    """Return a wall with a box before it, or a cross."""
+    rng = np.random.default_rng(seed)
+    depth = np.full((30, 40), 3000.0)
+    row, column = rng.integers(2, 8), rng.integers(2, 8)
+    height, width = rng.integers(15, 21, 2)
+    upright = (slice(row, row + height), slice(column + width // 3, column + 2 * width // 3))
+    across = (slice(row + height // 3, row + 2 * height // 3), slice(column, column + width))
+    box = [(slice(row, row + height), slice(column, column + width))]
+    for part in {"box": box, "cross": [upright, across]}[kind]:
+        depth[part] = 1500
+    depth += rng.normal(0, 5, depth.shape)
+    return DepthFrame(0.0, depth.astype(np.uint16), CAMERA)
+
+
+def frames(first=0, n=40):
+    for seed in range(first, first + n):
+        kind = ("box", "cross")[seed % 2]
+        yield TrainingFrame(frame(kind, seed), kind, f"room-{seed // 4}")
+
+
+def test_a_model_tells_unseen_frames_apart():
+    model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes")
+    describer = model.describer()
+    right = [
+        model.scenes.predict_bag(describer.describe(item.frame)).label == item.label
+        for item in frames(first=100)
+    ]
+    assert np.mean(right) > 0.9
+    assert model.trained_on == "boxes"
+
+
+def test_frames_are_described_in_order_and_reported():
+    seen = []
+    described = describe_frames(frames(n=5), PARAMS, on_frame=seen.append)
+    assert seen == [1, 2, 3, 4, 5]
+    each = [descriptors(item.frame, PARAMS) for item in frames(n=5)]
+    assert described.counts.tolist() == [len(values) for values in each]
+    np.testing.assert_array_equal(described.values, np.concatenate(each))
+    assert described.labels == ("box", "cross", "box", "cross", "box")
+    assert described.groups == ("room-0",) * 4 + ("room-1",)
+
+
+def test_the_same_seed_gives_the_same_model():
+    first, again, other = (
+        train_model(frames(), PARAMS, n_words=12, seed=seed, trained_on="boxes").content_hash
+        for seed in (1, 1, 2)
+    )
+    assert first == again != other
+
+
+def test_frames_without_labels_teach_words_only():
+    unlabelled = [TrainingFrame(item.frame) for item in frames()]
+    alone = train_model(unlabelled, PARAMS, n_words=12, trained_on="boxes")
+    assert alone.scenes is None
+    both = train_model([*unlabelled, *frames(first=40)], PARAMS, n_words=12, trained_on="boxes")
+    assert both.scenes.classes_.tolist() == ["box", "cross"]
+
+
+def test_too_few_frames_are_refused():
+    with pytest.raises(ValueError, match="n_words must be at most the number of descriptors"):
+        train_model(frames(n=2), PARAMS, trained_on="boxes")
+    with pytest.raises(ValueError, match=r"minimum of 1 is required|n_words"):
+        train_model([], PARAMS, trained_on="nothing")
