@@ -48,39 +48,25 @@ def find_contours(images: NDArray[np.uint8], params: ContourParams) -> Contours:
     """
     if images.ndim != 3:
         raise ValueError(f"images must be (L, H, W), got {images.shape}")
-    n_layers, height, width = images.shape
-    # All layers on one canvas, far enough apart that closing cannot join them: one call each
-    # to OpenCV instead of L.
-    margin = params.closing_px // 2 + 1
-    pitch = height + 2 * margin
-    canvas = np.zeros((n_layers, pitch, width + 2 * margin), np.uint8)
-    canvas[:, margin : margin + height, margin : margin + width] = images
-    sheet = canvas.reshape(n_layers * pitch, width + 2 * margin)
-    if params.closing_px > 1 and n_layers:
-        kernel = np.ones((params.closing_px, params.closing_px), np.uint8)
-        sheet = cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel).astype(np.uint8, copy=False)
+    _, height, width = images.shape
     min_area_px = params.min_area_share * height * width
-    found: list[tuple[int, NDArray[np.int32]]] = []
-    for points_px in _outer_contours(sheet, min_area_px):
-        layer = int(points_px[0, 1]) // pitch
-        origin = np.array([margin, layer * pitch + margin], np.int32)
-        found.append((layer, points_px - origin))
-    found.sort(key=lambda item: item[0])
-    return Contours(
-        points_px=tuple(points_px for _, points_px in found),
-        layer=np.array([layer for layer, _ in found], np.int32),
-    )
-
-
-def _outer_contours(sheet: NDArray[np.uint8], min_area_px: float) -> list[NDArray[np.int32]]:
-    if sheet.size == 0:
-        return []
-    contours, _ = cv2.findContours(sheet, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     # Isoperimetric inequality: n steps of at most sqrt(2) enclose at most n^2 / (2 pi), so
     # that specks are dropped by their length alone.
     min_length = math.sqrt(2 * math.pi * min_area_px)
-    return [
-        np.asarray(contour[:, 0], np.int32)
-        for contour in contours
-        if len(contour) >= min_length and cv2.contourArea(contour) >= min_area_px
-    ]
+    margin = params.closing_px // 2 + 1
+    sheet = np.zeros((height + 2 * margin, width + 2 * margin), np.uint8)
+    inside = sheet[margin : margin + height, margin : margin + width]
+    kernel = np.ones((params.closing_px, params.closing_px), np.uint8)
+    points_px: list[NDArray[np.int32]] = []
+    layers: list[int] = []
+    for layer, image in enumerate(images):
+        inside[...] = image
+        closed = cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel)
+        found, _ = cv2.findContours(
+            closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(-margin, -margin)
+        )
+        for contour in found:
+            if len(contour) >= min_length and cv2.contourArea(contour) >= min_area_px:
+                points_px.append(np.asarray(contour[:, 0], np.int32))
+                layers.append(layer)
+    return Contours(points_px=tuple(points_px), layer=np.array(layers, np.int32))
