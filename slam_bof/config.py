@@ -1,0 +1,163 @@
+"""All parameters of a run as one tree, composed of the parts' own; YAML in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import Field, ValidationError, field_validator
+
+from slam_bof import registry
+from slam_bof.covisibility import CovisibilityParams
+from slam_bof.errors import ConfigError
+from slam_bof.keyframes import KeyframeParams
+from slam_bof.loops import LoopParams
+from slam_bof.points import PointParams
+from slam_bof.types import Params
+from slam_bof.validation import describe_error, suggest
+
+__all__ = [
+    "Config",
+    "PluginChoice",
+    "check_plugins",
+    "dump",
+    "load",
+    "override",
+    "preset",
+    "presets",
+    "resolve",
+]
+
+PRESET_FOLDERS = (
+    Path(__file__).parent / "configs",  # in a wheel
+    Path(__file__).parent.parent / "configs",  # in a checkout
+)
+
+
+class PluginChoice(Params):
+    """A plug-in by name, with its options; a bare name will do in YAML."""
+
+    name: str
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class Config(Params):
+    """Everything that, with a sequence, determines a run."""
+
+    model: str = Field("default", description="the model that comes along, or a file")
+    seed: int = Field(0, ge=0)
+    dataset: str = Field("auto", description="a data-set plug-in; auto looks at the folder")
+    odometry: PluginChoice = PluginChoice(name="kiss-icp")
+    verifier: PluginChoice = PluginChoice(name="open3d")
+    backend: PluginChoice = PluginChoice(name="gtsam")
+    keyframes: KeyframeParams = KeyframeParams()
+    loops: LoopParams = LoopParams()
+    covisibility: CovisibilityParams = CovisibilityParams()
+    cloud: PointParams = Field(
+        PointParams(stride=4, max_range_m=4.0), description="the points that verification sees"
+    )
+
+    @field_validator("odometry", "verifier", "backend", mode="before")
+    @classmethod
+    def _accept_name(cls, value: Any) -> Any:
+        return {"name": value} if isinstance(value, str) else value
+
+
+def load(path: Path | str) -> Config:
+    """Read a YAML file; what it leaves out keeps its default.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is no YAML, or a key or value is not known.
+    """
+    path = Path(path)
+    try:
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file, expected a YAML configuration") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, yaml.YAMLError) as error:
+        reason = " ".join(str(error).split())
+        raise ConfigError(f"{path}: not a YAML file: {reason}") from error
+    return _validate({} if values is None else values, str(path))
+
+
+def presets() -> list[str]:
+    """Return the names of the configurations that come along."""
+    return sorted({file.stem for folder in PRESET_FOLDERS for file in folder.glob("*.yaml")})
+
+
+def preset(name: str) -> Config:
+    """Return a configuration that comes along, by name; ``ConfigError`` if there is none."""
+    for folder in PRESET_FOLDERS:
+        if name in presets() and (folder / f"{name}.yaml").is_file():
+            return load(folder / f"{name}.yaml")
+    raise ConfigError(f"no preset {name!r}; {suggest(name, presets())}")
+
+
+def resolve(name: str) -> Config:
+    """Return a preset by its name, or else the configuration in the file of that name."""
+    if name in presets():
+        return preset(name)
+    if Path(name).suffix in (".yaml", ".yml") or Path(name).exists():
+        return load(name)
+    return preset(name)
+
+
+def dump(config: Config) -> str:
+    """Return a configuration as YAML, defaults included; ``load`` gives the same back."""
+    return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
+
+
+def override(config: Config, assignments: Iterable[str]) -> Config:
+    """Return the configuration with ``key.sub=value`` assignments made; values are YAML.
+
+    >>> override(Config(), ["loops.top_k=3", "odometry=open3d"]).odometry.name
+    'open3d'
+    """
+    values = config.model_dump()
+    for assignment in assignments:
+        key, separator, text = assignment.partition("=")
+        if not separator or not key.strip():
+            raise ConfigError(f"found {assignment!r}, expected KEY=VALUE, such as loops.top_k=3")
+        try:
+            value = yaml.safe_load(text)
+        except yaml.YAMLError as error:
+            raise ConfigError(f"{assignment!r}: {text!r} is not a YAML value") from error
+        _assign(values, key.strip().split("."), value)
+    return _validate(values, "--set")
+
+
+def check_plugins(config: Config) -> None:
+    """Load the plug-ins that are named and check their options, which loading alone does not."""
+    for port, choice in (
+        ("odometry", config.odometry),
+        ("verifiers", config.verifier),
+        ("backends", config.backend),
+    ):
+        registry.check_options(port, choice.name, choice.options)
+    if config.dataset != "auto":
+        registry.load("datasets", config.dataset)
+
+
+def _validate(values: Any, where: str) -> Config:
+    if not isinstance(values, Mapping):
+        raise ConfigError(f"{where}: found a {type(values).__name__}, expected keys and values")
+    try:
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {describe_error(error, Config)}") from error
+
+
+def _assign(values: dict[str, Any], path: list[str], value: Any) -> None:
+    for part in path[:-1]:
+        # A key that is not there is made, so that validation can name it.
+        child = values.setdefault(part, {})
+        if not isinstance(child, dict):
+            raise ConfigError(f"--set: key {'.'.join(path)!r}: {part!r} has no keys below it")
+        values = child
+    values[path[-1]] = value

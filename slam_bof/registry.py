@@ -1,0 +1,121 @@
+"""The one place where the name of a plug-in becomes its class.
+
+Plug-ins are entry points of the groups ``slam_bof.<port>``: those that come with slam_bof enter
+by the same door as anybody's. Only the one that is named is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+from pydantic import ValidationError
+
+from slam_bof.errors import ConfigError, PluginError
+from slam_bof.types import Params
+from slam_bof.validation import describe_error
+
+__all__ = ["PORTS", "Listing", "build", "check_options", "listing", "load", "names"]
+
+PORTS = ("datasets", "odometry", "verifiers", "backends", "descriptors")
+"""The entry-point groups, without their ``slam_bof.`` before it."""
+
+PIP_NAMES = {"cv2": "opencv-python-headless", "sklearn": "scikit-learn", "yaml": "pyyaml"}
+"""What pip calls a library, where that is not its import name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """An installed plug-in: its port and name, what it loads, and the package that brought it."""
+
+    port: str
+    name: str
+    target: str
+    distribution: str
+    version: str
+
+
+def names(port: str) -> list[str]:
+    """Return the names of a port's installed plug-ins, sorted; imports none of them."""
+    return sorted(_found(port))
+
+
+def listing() -> list[Listing]:
+    """Return all installed plug-ins, by port and name; imports none of them."""
+    return [
+        Listing(
+            port,
+            name,
+            entry.value,
+            entry.dist.name if entry.dist else "",
+            entry.dist.version if entry.dist else "",
+        )
+        for port in PORTS
+        for name, entry in sorted(_found(port).items())
+    ]
+
+
+def load(port: str, name: str) -> Any:
+    """Import the plug-in ``name`` of a port and return its class.
+
+    Raises
+    ------
+    PluginError
+        If there is none of that name, or it or a library that it needs cannot be imported.
+    """
+    found = _found(port)
+    if name not in found:
+        installed = ", ".join(sorted(found)) or "none"
+        raise PluginError(f"no {port} plug-in {name!r}; installed: {installed}")
+    entry = found[name]
+    try:
+        return entry.load()
+    except (ImportError, AttributeError, OSError) as error:
+        library = (getattr(error, "name", None) or "").partition(".")[0]
+        if isinstance(error, ModuleNotFoundError) and library not in (
+            "",
+            entry.module.split(".")[0],
+        ):
+            package = PIP_NAMES.get(library, library.replace("_", "-"))
+            reason = f"needs {library}, which is not installed; try: pip install {package}"
+        else:
+            reason = f"cannot be loaded: {' '.join(str(error).split())}"
+        raise PluginError(f"{port} plug-in {name!r} {reason}") from error
+
+
+def check_options(port: str, name: str, options: Mapping[str, Any] | None = None) -> Params | None:
+    """Check a plug-in's options against its nested ``Params``; None where it has no such.
+
+    Raises
+    ------
+    PluginError
+        As ``load``.
+    ConfigError
+        If an option is unknown or has a value that it cannot have.
+    """
+    plugin = load(port, name)
+    where = f"{port} plug-in {name!r}"
+    if not hasattr(plugin, "Params"):
+        if options:
+            raise ConfigError(f"{where}: takes no options, found {', '.join(options)}")
+        return None
+    try:
+        params: Params = plugin.Params.model_validate(dict(options or {}))
+    except ValidationError as error:
+        raise ConfigError(f"{where}: {describe_error(error, plugin.Params)}") from error
+    return params
+
+
+def build(port: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
+    """Make a plug-in with its options; raises as ``check_options``."""
+    params = check_options(port, name, options)
+    plugin = load(port, name)
+    return plugin() if params is None else plugin(params)
+
+
+def _found(port: str) -> dict[str, EntryPoint]:
+    if port not in PORTS:
+        raise ValueError(f"port must be one of {', '.join(PORTS)}, got {port!r}")
+    return {entry.name: entry for entry in entry_points(group=f"slam_bof.{port}")}

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from slam_bof import registry
+from slam_bof.errors import ConfigError, PluginError
+
+
+@pytest.fixture
+def stranger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A third party's package with plug-ins, installed beside slam_bof."""
+    (tmp_path / "stranger.py").write_text(
+        "from slam_bof.types import Params as Base\n"
+        "class Plain:\n"
+        "    pass\n"
+        "class Tuned:\n"
+        "    class Params(Base):\n"
+        "        gain: float = 1.0\n"
+        "    def __init__(self, params):\n"
+        "        self.params = params\n"
+    )
+    (tmp_path / "stranger_needy.py").write_text("import cv9_of_no_one\n")
+    info = tmp_path / "stranger-1.2.3.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.2.3\n")
+    (info / "entry_points.txt").write_text(
+        "[slam_bof.odometry]\n"
+        "plain = stranger:Plain\n"
+        "tuned = stranger:Tuned\n"
+        "needy = stranger_needy:Odometry\n"
+        "gone = stranger:Gone\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, "stranger", raising=False)
+    return tmp_path
+
+
+def test_built_ins_enter_by_entry_points() -> None:
+    assert "kiss-icp" in registry.names("odometry")
+    assert "7scenes" in registry.names("datasets")
+    assert registry.load("backends", "gtsam").__name__ == "GtsamBackend"
+
+
+def test_a_strangers_plugin_is_listed_and_built(stranger: Path) -> None:
+    found = {item.name: item for item in registry.listing() if item.distribution == "stranger"}
+    assert sorted(found) == ["gone", "needy", "plain", "tuned"]
+    assert found["tuned"].version == "1.2.3"
+    assert found["tuned"].target == "stranger:Tuned"
+    assert "stranger" not in sys.modules, "listing must import no plug-in"
+    assert registry.build("odometry", "tuned", {"gain": 2}).params.gain == 2.0
+    assert type(registry.build("odometry", "plain")).__name__ == "Plain"
+
+
+def test_unknown_name_lists_what_is_installed() -> None:
+    with pytest.raises(PluginError, match=r"no backends plug-in 'g3o'; installed: .*gtsam"):
+        registry.load("backends", "g3o")
+
+
+def test_missing_library_names_the_pip_command(stranger: Path) -> None:
+    with pytest.raises(
+        PluginError, match=r"'needy' needs cv9_of_no_one.*pip install cv9-of-no-one"
+    ):
+        registry.load("odometry", "needy")
+
+
+def test_missing_class_is_a_plugin_error(stranger: Path) -> None:
+    with pytest.raises(PluginError, match=r"'gone' cannot be loaded: .*Gone"):
+        registry.load("odometry", "gone")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("tuned", {"gian": 1}, "odometry plug-in 'tuned': unknown key 'gian'; did you mean 'gain'"),
+        ("tuned", {"gain": "much"}, "key 'gain': found 'much', input should be a valid number"),
+        ("plain", {"gain": 1}, "takes no options, found gain"),
+    ],
+)
+def test_wrong_options_name_the_key(
+    stranger: Path, name: str, options: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        registry.build("odometry", name, options)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_port_is_the_programmers_mistake() -> None:
+    with pytest.raises(ValueError, match="port must be one of"):
+        registry.names("odometries")
+
+
+def test_only_the_named_plugin_is_imported() -> None:
+    code = (
+        "import sys; from slam_bof import registry; registry.listing();"
+        "registry.load('datasets', '7scenes');"
+        "found = {'open3d', 'gtsam', 'kiss_icp', 'sklearn'} & set(sys.modules);"
+        "assert not found, found"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
