@@ -113,7 +113,12 @@ def draw_trajectories(paths: Mapping[str, Array], links: Mapping[str, Array]) ->
         aspectratio={"x": x, "y": y, "z": z},
         xaxis={**axis, "range": ranges[0], "title": {"text": "right (m)", "font": {"size": 12}}},
         yaxis={**axis, "range": ranges[1], "title": {"text": "forward (m)", "font": {"size": 12}}},
-        zaxis={**axis, "range": ranges[2], "title": {"text": "up (m)", "font": {"size": 12}}},
+        zaxis={
+            **axis,
+            "nticks": 3,
+            "range": ranges[2],
+            "title": {"text": "up (m)", "font": {"size": 12}},
+        },
         camera={"eye": {"x": -0.7, "y": -1.3, "z": 0.85}, "center": {"x": 0, "y": 0, "z": -0.1}},
     )
     return figure.update_layout(showlegend=False, margin={"l": 0, "r": 0, "t": 0, "b": 0})

@@ -120,13 +120,7 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
             "The camera's path as odometry alone has it, and after the loops have corrected it, "
             "each aligned rigidly with ground truth, as the trajectory error (ATE) is measured."
         )
-    poses = {"odometry": data.odometry.poses, "optimized": data.optimized.poses}
-    if truth is not None:
-        for name, trajectory in (("odometry", data.odometry), ("optimized", data.optimized)):
-            T_world_map = evaluation.align_trajectory(trajectory, truth)
-            assert T_world_map is not None
-            poses[name] = T_world_map @ poses[name]
-        poses["groundtruth"] = truth.poses
+    poses = _poses(data, truth)
     T_level = _level(poses["optimized"])
     paths = {name: se3.transform(T_level, p[:, :3, 3]).round(4) for name, p in poses.items()}
     keyframes = paths["optimized"][_frame_indices(data)]
@@ -144,12 +138,12 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
 def _error_section(data: ReportData, truth: Trajectory) -> str:
     from slam_bof import figures
 
-    errors_m = {}
-    for name, trajectory in (("odometry", data.odometry), ("optimized", data.optimized)):
-        T_world_map = evaluation.align_trajectory(trajectory, truth)
-        assert T_world_map is not None
-        positions = se3.transform(T_world_map, trajectory.poses[:, :3, 3])
-        errors_m[name] = np.linalg.norm(positions - truth.poses[:, :3, 3], axis=1).round(5)
+    poses = _poses(data, truth)
+    true = poses.pop("groundtruth")
+    errors_m = {
+        name: np.linalg.norm(p[:, :3, 3] - true[:, :3, 3], axis=1).round(5)
+        for name, p in poses.items()
+    }
     return page.section(
         "Position error",
         "How far each frame's position is from ground truth, after the same alignment.",
@@ -212,6 +206,18 @@ def _truth_by_frame(data: ReportData) -> Trajectory | None:
     poses = np.full(data.optimized.poses.shape, np.nan)
     poses[i] = data.groundtruth.poses[j]
     return Trajectory(data.optimized.stamps_s, poses)
+
+
+def _poses(data: ReportData, truth: Trajectory | None) -> dict[str, Array]:
+    """Return what to draw, by name, (N, 4, 4) each, in the frame of the truth if there is one."""
+    poses = {"odometry": data.odometry.poses, "optimized": data.optimized.poses}
+    if truth is None:
+        return poses
+    known = np.isfinite(truth.poses).all(axis=(1, 2))
+    for name, T_map_camera in poses.items():
+        reference, estimate = (p[known, :3, 3] for p in (truth.poses, T_map_camera))
+        poses[name] = se3.align(reference, estimate) @ T_map_camera
+    return {**poses, "groundtruth": truth.poses}
 
 
 def _links(data: ReportData, truth: Trajectory | None, keyframes: Array) -> dict[str, Array]:
