@@ -1,0 +1,221 @@
+"""Microsoft 7-Scenes (Shotton et al., CVPR 2013), and whatever else is written in its layout.
+
+``SCENE/seq-XX/frame-XXXXXX.{depth.png,color.png,pose.txt}``, where ``SCENE`` also has
+``TrainSplit.txt`` and ``TestSplit.txt``. Depth is uint16 mm, 0 and 65535 where missing; poses
+are camera-to-world, of the depth camera. Colour and poses may be missing, and colour may be JPEG.
+"""
+
+from __future__ import annotations
+
+import csv
+import logging
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import ClassVar, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof import se3
+from slam_bof.errors import DatasetError
+from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
+from slam_bof_plugins.depth_png import check_header, read_depth_png
+
+__all__ = ["SevenScenes"]
+
+logger = logging.getLogger(__name__)
+
+FRAMES_PER_S = 30.0
+FRAME = re.compile(r"frame-(\d+)\.depth\.png")
+COLOR_SUFFIXES = (".color.png", ".color.jpg")
+SPLITS = ("TrainSplit.txt", "TestSplit.txt")
+
+# Of images 640 pixels wide; other sizes scale with the width.
+DEPTH_FOCAL_PX = 585.0
+COLOR_FOCAL_PX = 525.0
+T_COLOR_DEPTH_X_M = -0.026  # where the two cameras' edges meet best
+ROTATION_TOLERANCE = 1e-2
+
+
+class SevenScenes:
+    """One sequence in 7-Scenes layout."""
+
+    name: ClassVar[str] = "7scenes"
+
+    def __init__(self, folder: Path, numbers: Sequence[int], intrinsics: Intrinsics) -> None:
+        self.folder = folder
+        self.sequence = "/".join(folder.resolve().parts[-2:])
+        self.intrinsics = intrinsics
+        self._numbers = tuple(numbers)
+        self._groundtruth = self._read_groundtruth()
+        self._scenes = self._read_scenes()
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell whether the folder is a sequence, or a scene with sequences, in this layout."""
+        return path.is_dir() and bool(_frame_numbers(path) or _sequences(path))
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open a ``seq-XX`` folder, or a scene folder that has one sequence only.
+
+        Raises
+        ------
+        DatasetError
+            If there is no such folder or sequence, or several; if a depth image is of 8 bits,
+            in colour, or of another size than the first; if a pose is no pose.
+        """
+        folder = _sequence_folder(path)
+        numbers = _frame_numbers(folder)
+        first, *others = (folder / f"frame-{number:06d}.depth.png" for number in numbers)
+        height, width = read_depth_png(first).shape
+        for file in others:
+            check_header(file, (height, width))
+        return cls(folder, numbers, _camera(DEPTH_FOCAL_PX, width, height))
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+        return len(self._numbers)
+
+    def frame(self, index: int) -> DepthFrame:
+        """Read a frame; its time is its number in the file's name, at 30 Hz."""
+        depth = read_depth_png(self._file(index, ".depth.png"))
+        return DepthFrame(self._numbers[index] / FRAMES_PER_S, depth, self.intrinsics)
+
+    def color(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the colour image and move its pixels (H, W, 3) to where depth sees them."""
+        for suffix in COLOR_SUFFIXES:
+            file = self._file(index, suffix)
+            if file.is_file():
+                image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+                if image is None:
+                    logger.warning("%s: colour image cannot be read", file)
+                    return None
+                rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+                return _register(rgb, self.frame(index))
+        return None
+
+    def groundtruth(self) -> Trajectory | None:
+        """Return the poses, NaN for frames without; None if no frame has one."""
+        return self._groundtruth
+
+    def scenes(self) -> tuple[str, ...] | None:
+        """Return the labels of ``scenes.csv`` (columns frame, scene), if there is that file."""
+        return self._scenes
+
+    def _file(self, index: int, suffix: str) -> Path:
+        return self.folder / f"frame-{self._numbers[index]:06d}{suffix}"
+
+    def _read_groundtruth(self) -> Trajectory | None:
+        files = [self._file(i, ".pose.txt") for i in range(len(self))]
+        present = [i for i, file in enumerate(files) if file.is_file()]
+        if not present:
+            return None
+        poses = np.full((len(self), 4, 4), np.nan)
+        poses[present] = _read_poses([files[i] for i in present])
+        return Trajectory(np.array(self._numbers) / FRAMES_PER_S, poses)
+
+    def _read_scenes(self) -> tuple[str, ...] | None:
+        file = self.folder / "scenes.csv"
+        if not file.is_file():
+            return None
+        try:
+            with file.open(newline="", encoding="utf-8") as lines:
+                labels = {int(row["frame"]): row["scene"] for row in csv.DictReader(lines)}
+            return tuple(labels[number] for number in self._numbers)
+        except (KeyError, TypeError, ValueError) as error:
+            raise DatasetError(
+                f"{file}: found {error!r}, expected columns frame,scene with every frame"
+            ) from error
+
+
+def _frame_numbers(folder: Path) -> list[int]:
+    matches = (FRAME.fullmatch(file.name) for file in folder.iterdir())
+    return sorted(int(match[1]) for match in matches if match)
+
+
+def _sequences(scene: Path) -> list[Path]:
+    return sorted(f for f in scene.glob("seq-*") if f.is_dir() and _frame_numbers(f))
+
+
+def _sequence_folder(path: Path) -> Path:
+    if not path.is_dir():
+        found = "a file" if path.exists() else "nothing"
+        raise DatasetError(f"{path}: found {found}, expected the folder of a sequence")
+    if _frame_numbers(path):
+        return path
+    sequences = _sequences(path)
+    if len(sequences) == 1:
+        return sequences[0]
+    if sequences:
+        listed = ", ".join(f"{f.name}{_split_of(path, f)}" for f in sequences)
+        raise DatasetError(
+            f"{path}: found {len(sequences)} sequences ({listed}), expected one; "
+            f"give its folder, such as {sequences[0]}"
+        )
+    raise DatasetError(
+        f"{path}: found neither frame-XXXXXX.depth.png nor seq-XX folders with such files, "
+        "expected 7-Scenes layout"
+    )
+
+
+def _split_of(scene: Path, sequence: Path) -> str:
+    """Return the split that the scene's split files put a sequence in, such as " train"."""
+    number = int(re.sub(r"\D", "", sequence.name) or 0)
+    for name in SPLITS:
+        file = scene / name
+        lines = file.read_text(errors="replace").split() if file.is_file() else []
+        if f"sequence{number}" in lines:
+            return f" {name.removesuffix('Split.txt').lower()}"
+    return ""
+
+
+def _camera(focal_px: float, width: int, height: int) -> Intrinsics:
+    focal_px *= width / 640
+    return Intrinsics(width, height, focal_px, focal_px, width / 2, height / 2)
+
+
+def _read_poses(files: Sequence[Path]) -> Array:
+    """Read T_world_camera, (N, 4, 4); rotations, given to a few digits, are made orthonormal."""
+    T = np.array([_read_numbers(file) for file in files]).reshape(-1, 4, 4)
+    R = T[:, :3, :3]
+    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    rigid = (off <= ROTATION_TOLERANCE) & (np.linalg.det(R) > 0)
+    rigid &= (T[:, 3] == (0, 0, 0, 1)).all(axis=1)
+    for i in np.flatnonzero(~rigid).tolist():
+        raise DatasetError(
+            f"{files[i]}: found no rigid transform (R R^T is off by {off[i]:.3g}, "
+            f"det R = {np.linalg.det(R[i]):.3g}, last row {T[i, 3].tolist()}), expected a pose"
+        )
+    return np.array([se3.pose(se3.nearest_rotation(M[:3, :3]), M[:3, 3]) for M in T])
+
+
+def _read_numbers(file: Path) -> list[float]:
+    try:
+        values = [float(word) for word in file.read_text(encoding="utf-8").split()]
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file}: {error}, expected 16 numbers: a pose") from error
+    if len(values) != 16:
+        raise DatasetError(f"{file}: found {len(values)} numbers, expected 16: a pose")
+    if not all(map(math.isfinite, values)):
+        raise DatasetError(f"{file}: found NaN or infinity, expected a pose")
+    return values
+
+
+def _register(rgb: NDArray[np.uint8], frame: DepthFrame) -> NDArray[np.uint8]:
+    """Look up each depth pixel's colour: the two cameras stand side by side, axes parallel."""
+    depth, camera = frame.intrinsics, _camera(COLOR_FOCAL_PX, rgb.shape[1], rgb.shape[0])
+    z_m: Array = frame.depth_m().astype(np.float64)
+    # Without a depth, the direction alone decides, as if the point were far away.
+    parallax_px = np.divide(
+        camera.fx * T_COLOR_DEPTH_X_M, z_m, out=np.zeros_like(z_m), where=z_m > 0
+    )
+    columns = (np.arange(depth.width) - depth.cx) / depth.fx * camera.fx + camera.cx
+    rows = (np.arange(depth.height) - depth.cy) / depth.fy * camera.fy + camera.cy
+    u = (columns + parallax_px).astype(np.float32)
+    v = np.broadcast_to(rows[:, None].astype(np.float32), u.shape)
+    registered = cv2.remap(rgb, u, np.ascontiguousarray(v), cv2.INTER_LINEAR)
+    return np.asarray(registered, dtype=np.uint8)
