@@ -11,10 +11,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.index import InvertedIndex
-from slam_bof.types import Array, Candidate, Keyframe, Params, Scene
+from slam_bof.types import Candidate, Keyframe, Params, Scene
 
 __all__ = ["LoopDetector", "LoopParams", "scene_agreement"]
 
@@ -56,7 +57,7 @@ class LoopDetector:
         self._keyframes.append(keyframe)
         return candidates
 
-    def _rank(self, keyframe: Keyframe, scores: Array) -> list[Candidate]:
+    def _rank(self, keyframe: Keyframe, scores: NDArray[np.float32]) -> list[Candidate]:
         """Return up to ``top_k`` maxima of eta, no two within ``max_index_difference``."""
         p = self.params
         stamps_s = np.array([k.stamp_s for k in self._keyframes])

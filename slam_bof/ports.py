@@ -79,7 +79,9 @@ class Verifier(Protocol):
     def prepare(self, points_camera: Array) -> Any:
         """Make of points (N, 3) what ``verify`` needs; kept with the keyframe."""
 
-    def verify(self, query: Any, match: Any, *, T_match_query: Pose | None = None) -> Verification:
+    def verify(
+        self, query: Any, match: Any, *, T_match_query: Pose | None = None, seed: int = 0
+    ) -> Verification:
         """Align the query's cloud with the match's, from the guess or, without one, globally."""
 
 

@@ -92,14 +92,14 @@ def interpolate(T_a: Pose, T_b: Pose, fraction: float | Array) -> Pose:
 
     Of many pairs at once: (N, 4, 4) poses and (N, 1) fractions.
     """
-    step: Pose = exp(fraction * log(inverse(T_a) @ T_b))
+    step = exp(fraction * log(inverse(T_a) @ T_b))
     return np.asarray(T_a @ step)
 
 
 def nearest_rotation(R: ArrayLike) -> Array:
     """Project a (3, 3) matrix that is almost a rotation to the nearest one (SVD)."""
     U, _, Vt = np.linalg.svd(np.asarray(R, dtype=np.float64))
-    return U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
+    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def align(points_reference: Array, points_estimate: Array) -> Pose:

@@ -15,24 +15,27 @@ from pydantic import Field
 from slam_bof import se3
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 
-__all__ = ["GtsamBackend"]
+__all__ = ["GtsamBackend", "GtsamParams"]
+
+
+class GtsamParams(Params):
+    """Noise of the odometry per step between keyframes, and of an average loop."""
+
+    odometry_sigma_rad: float = Field(0.02, gt=0)
+    odometry_sigma_m: float = Field(0.02, gt=0)
+    loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
+    cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
+    n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
+    max_iterations: int = Field(50, gt=0)
 
 
 class GtsamBackend:
     """Between factors from odometry and loops; loops under a robust kernel."""
 
-    class Params(Params):
-        """Noise of the odometry per step between keyframes, and of an average loop."""
+    Params = GtsamParams
 
-        odometry_sigma_rad: float = Field(0.02, gt=0)
-        odometry_sigma_m: float = Field(0.02, gt=0)
-        loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
-        cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
-        n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
-        max_iterations: int = Field(50, gt=0)
-
-    def __init__(self, params: Params | None = None) -> None:
-        self.params = p = params or self.Params()
+    def __init__(self, params: GtsamParams | None = None) -> None:
+        self.params = p = params or GtsamParams()
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
         self._graph = gtsam.NonlinearFactorGraph()
         self._new_factors = gtsam.NonlinearFactorGraph()
@@ -115,4 +118,4 @@ class GtsamBackend:
 
 
 def _pose3(T: Pose) -> gtsam.Pose3:
-    return gtsam.Pose3(gtsam.Rot3(se3.nearest_rotation(T[:3, :3])), gtsam.Point3(*T[:3, 3]))
+    return gtsam.Pose3(gtsam.Rot3(se3.nearest_rotation(T[:3, :3])), T[:3, 3])

@@ -1,0 +1,75 @@
+"""KISS-ICP (Vizzo et al., RA-L 2023) with a preset for indoor depth cameras."""
+
+from __future__ import annotations
+
+import numpy as np
+from kiss_icp.config import KISSConfig
+from kiss_icp.kiss_icp import KissICP
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.points import back_project
+from slam_bof.types import DepthFrame, Params, Pose
+
+__all__ = ["KissIcpOdometry", "KissIcpParams"]
+
+NO_DESKEW = np.array([])
+
+
+class KissIcpParams(Params):
+    """What of KISS-ICP depends on the sensor."""
+
+    stride: int = Field(4, gt=0, description="every stride-th pixel in each direction")
+    voxel_size_m: float = Field(0.08, gt=0)
+    min_range_m: float = Field(0.1, ge=0)
+    max_range_m: float = Field(5.0, gt=0)
+    max_points_per_voxel: int = Field(20, gt=0)
+    initial_threshold_m: float = Field(0.1, gt=0)
+    min_motion_m: float = Field(0.015, gt=0)
+    max_iterations: int = Field(50, gt=0)
+    convergence: float = Field(1e-3, gt=0)
+    n_threads: int = Field(1, ge=0, description="0 for all; 1 is often faster")
+    min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")
+
+
+class KissIcpOdometry:
+    """Frame-to-map odometry of depth frames.
+
+    KISS-ICP's own defaults are for a LiDAR: metres between frames, voxels of a metre. The
+    defaults here are for a depth camera indoors.
+    """
+
+    Params = KissIcpParams
+
+    def __init__(self, params: KissIcpParams | None = None) -> None:
+        self.params = params or KissIcpParams()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the map: the next frame is a first one."""
+        p = self.params
+        config = KISSConfig()
+        config.data.deskew = False
+        config.data.min_range = p.min_range_m
+        config.data.max_range = p.max_range_m
+        config.mapping.voxel_size = p.voxel_size_m
+        config.mapping.max_points_per_voxel = p.max_points_per_voxel
+        config.adaptive_threshold.initial_threshold = p.initial_threshold_m
+        config.adaptive_threshold.min_motion_th = p.min_motion_m
+        config.registration.max_num_iterations = p.max_iterations
+        config.registration.convergence_criterion = p.convergence
+        config.registration.max_num_threads = p.n_threads
+        self._kiss_icp = KissICP(config)
+
+    def process(self, frame: DepthFrame) -> Pose:
+        """Return ``T_odom_camera`` (4, 4); a frame that shows too little repeats the last pose."""
+        stride = self.params.stride
+        points = back_project(frame.depth_m(stride), frame.intrinsics, stride)
+        if len(points) < self.params.min_points:
+            self._kiss_icp.last_delta = np.eye(4)
+            return np.array(self._kiss_icp.last_pose)
+        self._kiss_icp.register_frame(points, NO_DESKEW)
+        # Thousands of products of rotations drift off SO(3) and GTSAM does not forgive it.
+        T = self._kiss_icp.last_pose
+        self._kiss_icp.last_pose = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        return np.array(self._kiss_icp.last_pose)

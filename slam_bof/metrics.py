@@ -1,0 +1,133 @@
+"""The figures of a run, as ``metrics.json`` has them: flat, SI units, null where unknown."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import resource
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_bof import evaluation
+from slam_bof.slam import LoopCloser, SlamResult
+from slam_bof.timing import StageClock
+from slam_bof.types import Candidate, Trajectory
+
+__all__ = ["Metrics", "Usage", "compute_metrics"]
+
+Metrics = dict[str, str | int | float | None]
+
+STAGES = ("read", "odometry", "describe", "query", "verify", "optimize", "total")
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """Processor and wall seconds, from a first call to ``now`` to a second one."""
+
+    cpu_s: float
+    wall_s: float
+
+    @classmethod
+    def now(cls) -> Usage:
+        """Read both clocks."""
+        return cls(time.process_time(), time.perf_counter())
+
+    def __sub__(self, earlier: Usage) -> Usage:
+        """Return what passed between two readings."""
+        return Usage(self.cpu_s - earlier.cpu_s, self.wall_s - earlier.wall_s)
+
+
+def compute_metrics(
+    *,
+    dataset_name: str,
+    sequence: str,
+    result: SlamResult,
+    closer: LoopCloser,
+    candidates: Sequence[Candidate],
+    groundtruth: Trajectory | None,
+    true_scenes: Sequence[str] | None,
+    usage: Usage,
+    clock: StageClock,
+    seed: int,
+) -> Metrics:
+    """Collect everything that can be known of a run.
+
+    ``candidates`` is the audit trail; ``groundtruth`` has a pose for each frame of the
+    sequence, ``true_scenes`` a label for each keyframe.
+    """
+    n_frames = len(result.optimized)
+    loops = [loop for loop in closer.loops if loop.kind == "loop"]
+    considered = [c for c in candidates if c.kind == "loop"]
+    verified = [c for c in considered if not np.isnan(c.rmse_m)]
+    seconds = dict(clock.seconds, total=usage.wall_s)
+    metrics: Metrics = {
+        "dataset": dataset_name,
+        "sequence": sequence,
+        "n_frames": n_frames,
+        "n_frames_skipped": result.n_skipped,
+        "n_keyframes": len(closer.keyframes),
+        "n_candidates": len(considered),
+        "n_verified": len(verified),
+        "n_loops": len(loops),
+        "n_loops_by_bag": sum(loop.source == "bag" for loop in loops),
+        "n_loops_rejected": len(considered) - len(loops),
+        "n_covisibility_edges": len(closer.loops) - len(loops),
+        "ate_odometry_m": None,
+        "ate_m": None,
+        "ate_max_m": None,
+        "rpe_odometry_m": None,
+        "rpe_m": None,
+        "loop_precision": None,
+        "loop_recall": None,
+        "scene_accuracy": None,
+        "fps": n_frames / usage.wall_s,
+        "cpu_s": usage.cpu_s,
+        "wall_s": usage.wall_s,
+        "peak_rss_mb": peak_rss_mb(),
+        **{f"stage_ms.{name}": 1e3 * seconds.get(name, 0.0) / max(n_frames, 1) for name in STAGES},
+        "descriptor_bytes_per_frame": _descriptor_bytes(closer),
+        "seed": seed,
+        "version": importlib.metadata.version("slam-bof"),
+    }
+    if groundtruth is not None:
+        metrics |= _against_groundtruth(result, closer, groundtruth)
+    if true_scenes is not None:
+        metrics["scene_accuracy"] = evaluation.scene_accuracy(
+            [k.scene.label if k.scene else None for k in closer.keyframes],
+            true_scenes,
+        )
+    return metrics
+
+
+def _against_groundtruth(
+    result: SlamResult, closer: LoopCloser, groundtruth: Trajectory
+) -> Metrics:
+    reference = Trajectory(groundtruth.stamps_s[result.indices], groundtruth.poses[result.indices])
+    ate_odometry = evaluation.ate(result.odometry, reference)
+    ate = evaluation.ate(result.optimized, reference)
+    keyframe_indices = [k.frame_index for k in closer.keyframes]
+    loops = [loop for loop in closer.loops if loop.kind == "loop"]
+    return {
+        "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
+        "ate_m": ate.rmse_m if ate else None,
+        "ate_max_m": ate.max_m if ate else None,
+        "rpe_odometry_m": evaluation.rpe(result.odometry, reference),
+        "rpe_m": evaluation.rpe(result.optimized, reference),
+        "loop_precision": evaluation.loop_precision(loops, keyframe_indices, reference),
+        "loop_recall": evaluation.loop_recall(loops, keyframe_indices, reference),
+    }
+
+
+def _descriptor_bytes(closer: LoopCloser) -> float:
+    """Return the mean size of a keyframe's bag."""
+    sizes = [k.bag.words.nbytes + k.bag.weights.nbytes for k in closer.keyframes]
+    return float(np.mean(sizes)) if sizes else 0.0
+
+
+def peak_rss_mb() -> float:
+    """Return the most memory that this process has held so far, in MB (1e6 bytes)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak * (1 if sys.platform == "darwin" else 1024) / 1e6

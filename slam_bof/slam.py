@@ -1,0 +1,297 @@
+"""The plug-in: two calls beside any odometry; and the mini-SLAM built of both."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof import model as models
+from slam_bof import registry, se3
+from slam_bof.config import Config, load, preset
+from slam_bof.covisibility import CovisibilityParams, choose_covisible, view_overlap
+from slam_bof.errors import DatasetError
+from slam_bof.keyframes import KeyframeSelector
+from slam_bof.loops import LoopDetector
+from slam_bof.model import Model
+from slam_bof.points import PointParams, points_camera
+from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry, Verifier
+from slam_bof.timing import StageClock
+from slam_bof.types import (
+    Array,
+    Candidate,
+    DepthFrame,
+    Keyframe,
+    Loop,
+    Pose,
+    Step,
+    Trajectory,
+)
+
+__all__ = ["LoopCloser", "MiniSlam", "SlamResult", "spread_correction"]
+
+N_OVERLAP_POINTS = 200
+
+
+class LoopCloser:
+    """Loop closing, map correction and scene labels beside an odometry of your own.
+
+    >>> closer = LoopCloser.from_preset("indoor")  # doctest: +SKIP
+    >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
+    ...     step = closer.process(frame, T_odom_camera)
+    ...     T_map_camera = step.T_map_odom @ T_odom_camera
+    >>> trajectory = closer.finish()  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        *,
+        model: Model,
+        selector: KeyframeSelector,
+        detector: LoopDetector,
+        covisibility: CovisibilityParams,
+        cloud: PointParams,
+        verifier: Verifier,
+        backend: Backend,
+        seed: int = 0,
+        clock: StageClock | None = None,
+    ) -> None:
+        self.keyframes: list[Keyframe] = []
+        self.loops: list[Loop] = []
+        self.backend = backend
+        self._describer = model.describer()
+        self._scenes = model.scenes
+        self._selector = selector
+        self._detector = detector
+        self._covisibility = covisibility
+        self._cloud = cloud
+        self._verifier = verifier
+        self._seed = seed
+        self._clock = clock or StageClock()
+        self._clouds: list[Any] = []
+        self._stamps_s: list[float] = []
+        self._T_odom_camera: list[Pose] = []
+        self._T_map_odom: Pose = np.eye(4)
+
+    @classmethod
+    def from_preset(cls, name: str = "indoor") -> Self:
+        """Build one from a preset by name: ``indoor`` or ``paper``."""
+        return cls.from_config(preset(name))
+
+    @classmethod
+    def from_config(cls, config: Config | str | Path, *, clock: StageClock | None = None) -> Self:
+        """Build one from a configuration or its YAML file."""
+        if not isinstance(config, Config):
+            config = load(Path(config))
+        model = models.load_default() if config.model == "default" else models.load(config.model)
+        return cls(
+            model=model,
+            selector=KeyframeSelector(config.keyframes),
+            detector=LoopDetector(config.loops, model.vocabulary.n_words),
+            covisibility=config.covisibility,
+            cloud=config.cloud,
+            verifier=registry.build("verifiers", config.verifier.name, config.verifier.options),
+            backend=registry.build("backends", config.backend.name, config.backend.options),
+            seed=config.seed,
+            clock=clock,
+        )
+
+    def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
+        """Take a frame and its odometry pose (4, 4); answer with the map's correction."""
+        frame_index = len(self._stamps_s)
+        if frame_index and frame.stamp_s <= self._stamps_s[-1]:
+            raise ValueError(
+                f"stamps must grow, got {frame.stamp_s} s after {self._stamps_s[-1]} s"
+            )
+        self._stamps_s.append(frame.stamp_s)
+        self._T_odom_camera.append(np.array(T_odom_camera, dtype=np.float64))
+        if self._selector.select(frame_index, T_odom_camera):
+            return self._add_keyframe(frame_index, frame, T_odom_camera)
+        return Step(None, self.keyframes[-1].scene, (), (), self._T_map_odom)
+
+    def finish(self) -> Trajectory:
+        """Optimise the whole graph; return ``T_map_camera`` of every frame processed."""
+        with self._clock.stage("optimize"):
+            if self.loops:
+                self.backend.optimize()
+        if not self.keyframes:
+            return Trajectory()
+        stamps_s, T_odom_camera = np.array(self._stamps_s), np.array(self._T_odom_camera)
+        frame_indices = np.array([k.frame_index for k in self.keyframes])
+        poses = spread_correction(T_odom_camera, stamps_s, frame_indices, self.backend.poses())
+        return Trajectory(stamps_s, poses)
+
+    def _add_keyframe(self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose) -> Step:
+        with self._clock.stage("describe"):
+            bag = self._describer.describe(frame)
+            scene = self._scenes.predict_bag(bag) if self._scenes else None
+        keyframe = Keyframe(
+            len(self.keyframes), frame_index, frame.stamp_s, T_odom_camera, bag, scene
+        )
+        self.keyframes.append(keyframe)
+        with self._clock.stage("query"):
+            candidates = self._detector.find(keyframe)
+        self.backend.add_keyframe(keyframe)
+        with self._clock.stage("verify"):
+            points = points_camera(frame, self._cloud)
+            self._clouds.append(self._verifier.prepare(points))
+            candidates += self._find_covisible(keyframe, points, frame)
+            judged = [self._verify(candidate) for candidate in candidates]
+        loops = tuple(loop for _, loop in judged if loop is not None)
+        self.loops.extend(loops)
+        with self._clock.stage("optimize"):
+            for loop in loops:
+                self.backend.add_loop(loop)
+            self.backend.update()
+            T_map_camera = self.backend.poses()[-1]
+        self._T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)
+        return Step(keyframe, scene, loops, tuple(c for c, _ in judged), self._T_map_odom)
+
+    def _find_covisible(
+        self, keyframe: Keyframe, points: Array, frame: DepthFrame
+    ) -> list[Candidate]:
+        """Return the keyframes that, by the map so far, see what this one sees."""
+        p = self._covisibility
+        *_, T_map_camera = T_map_cameras = self.backend.poses()
+        every = max(1, len(points) // N_OVERLAP_POINTS)
+        overlaps = view_overlap(
+            points[::every], T_map_camera, T_map_cameras[:-1], frame.intrinsics, p.max_range_m
+        )
+        min_age_s = self._detector.params.min_age_s
+        return [
+            Candidate(
+                keyframe.id,
+                match_id,
+                "proximity",
+                "loop"
+                if keyframe.stamp_s - self.keyframes[match_id].stamp_s >= min_age_s
+                else "covisibility",
+            )
+            for match_id in choose_covisible(overlaps, p)
+        ]
+
+    def _verify(self, candidate: Candidate) -> tuple[Candidate, Loop | None]:
+        """Let geometry decide about a candidate that is still open."""
+        if candidate.decision:
+            return candidate, None
+        guess = None
+        if candidate.source == "proximity":
+            T_map_camera = self.backend.poses()
+            guess = se3.inverse(T_map_camera[candidate.match_id]) @ T_map_camera[-1]
+        verified = self._verifier.verify(
+            self._clouds[candidate.query_id],
+            self._clouds[candidate.match_id],
+            T_match_query=guess,
+            seed=self._seed,
+        )
+        judged = replace(
+            candidate,
+            overlap=verified.overlap,
+            rmse_m=verified.rmse_m,
+            decision="accepted" if verified.accepted else "rejected",
+            reason=verified.reason,
+        )
+        if not verified.accepted:
+            return judged, None
+        return judged, Loop(
+            candidate.query_id,
+            candidate.match_id,
+            verified.T_match_query,
+            verified.information,
+            candidate.kind,
+            candidate.source,
+        )
+
+
+def spread_correction(
+    T_odom_camera: Array, stamps_s: Array, keyframe_indices: Array, T_map_keyframes: Array
+) -> Array:
+    """Spread the keyframes' corrections smoothly over all frames.
+
+    Each frame is carried along from the keyframe before it and from the one after it by
+    odometry, and interpolated between the two by time; there is no lever arm, so a frame moves
+    no more than its keyframes do.
+
+    Parameters
+    ----------
+    T_odom_camera, stamps_s
+        (N, 4, 4) odometry poses and (N,) times of all frames.
+    keyframe_indices, T_map_keyframes
+        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0; the
+        first frame is a keyframe.
+
+    Returns
+    -------
+    Array
+        (N, 4, 4) T_map_camera.
+    """
+    frames = np.arange(len(T_odom_camera))
+    before = np.searchsorted(keyframe_indices, frames, side="right") - 1
+    after = np.minimum(before + 1, len(keyframe_indices) - 1)
+    T_map_odom = T_map_keyframes @ se3.inverse(T_odom_camera[keyframe_indices])
+    start_s, end_s = stamps_s[keyframe_indices][before], stamps_s[keyframe_indices][after]
+    span_s = np.where(after > before, end_s - start_s, 1.0)
+    fraction = np.where(after > before, (stamps_s - start_s) / span_s, 0.0)
+    return se3.interpolate(
+        T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlamResult:
+    """What a sequence came to: the poses of every frame read, before and after the map."""
+
+    odometry: Trajectory
+    optimized: Trajectory
+    indices: NDArray[np.int64]
+    """(N,) which frames of the data set these are; those that could not be read are missing."""
+    n_skipped: int
+
+
+class MiniSlam:
+    """An odometry with a ``LoopCloser`` beside it, run over a data set."""
+
+    def __init__(
+        self,
+        odometry: Odometry,
+        closer: LoopCloser,
+        *,
+        observer: Observer | None = None,
+        clock: StageClock | None = None,
+    ) -> None:
+        self._odometry = odometry
+        self._closer = closer
+        self._observer = observer or NullObserver()
+        self._clock = clock or StageClock()
+
+    def run(self, dataset: Dataset, *, max_frames: int | None = None) -> SlamResult:
+        """Process the sequence; a frame that cannot be read is skipped with a warning."""
+        n_frames = min(len(dataset), max_frames or len(dataset))
+        self._observer.on_start(n_frames)
+        indices: list[int] = []
+        stamps_s: list[float] = []
+        poses: list[Pose] = []
+        for index in range(n_frames):
+            try:
+                with self._clock.stage("read"):
+                    frame = dataset.frame(index)
+            except DatasetError as error:
+                self._observer.on_warning(f"frame {index} skipped: {error}")
+                continue
+            with self._clock.stage("odometry"):
+                T_odom_camera = self._odometry.process(frame)
+            indices.append(index)
+            stamps_s.append(frame.stamp_s)
+            poses.append(T_odom_camera)
+            step = self._closer.process(frame, T_odom_camera)
+            self._observer.on_step(index, step)
+        odometry = Trajectory(np.array(stamps_s), np.array(poses).reshape(-1, 4, 4))
+        return SlamResult(
+            odometry,
+            self._closer.finish(),
+            np.array(indices, dtype=np.int64),
+            n_frames - len(indices),
+        )
