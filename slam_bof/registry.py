@@ -9,15 +9,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from slam_bof.errors import ConfigError, PluginError
+from slam_bof.errors import ConfigError, DatasetError, PluginError
+from slam_bof.ports import Dataset
 from slam_bof.types import Params
 from slam_bof.validation import describe_error
 
-__all__ = ["PORTS", "Listing", "build", "check_options", "listing", "load", "names"]
+__all__ = ["PORTS", "Listing", "build", "check_options", "listing", "load", "names", "open_dataset"]
 
 PORTS = ("datasets", "odometry", "verifiers", "backends", "descriptors")
 """The entry-point groups, without their ``slam_bof.`` before it."""
@@ -113,6 +115,32 @@ def build(port: str, name: str, options: Mapping[str, Any] | None = None) -> Any
     params = check_options(port, name, options)
     plugin = load(port, name)
     return plugin() if params is None else plugin(params)
+
+
+def open_dataset(path: Path, name: str = "auto") -> Dataset:
+    """Open a sequence with the data-set plug-in of that name, or the one that recognises it.
+
+    Raises
+    ------
+    DatasetError
+        If there is no such folder, none recognises it, or it is malformed.
+    PluginError
+        As ``load``.
+    """
+    if name != "auto":
+        opened: Dataset = load("datasets", name).open(path)
+        return opened
+    if not path.is_dir():
+        found = "a file" if path.exists() else "nothing"
+        raise DatasetError(f"{path}: found {found}, expected the folder of a sequence")
+    layouts = names("datasets")
+    for layout in layouts:
+        plugin: type[Dataset] = load("datasets", layout)
+        if plugin.recognises(path):
+            return plugin.open(path)
+    raise DatasetError(
+        f"{path}: found no known layout, expected one of: {', '.join(layouts) or 'none installed'}"
+    )
 
 
 def _found(port: str) -> dict[str, EntryPoint]:

@@ -1,0 +1,106 @@
+"""Commands that compute: ``run`` and ``demo``."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from slam_bof.cli.options import JSON, OUT, QUIET, SET
+
+if TYPE_CHECKING:
+    from slam_bof.config import Config
+    from slam_bof.run import RunResult
+
+__all__ = ["demo", "run"]
+
+SUMMARY = (
+    ("ATE of odometry", "ate_odometry_m", "m"),
+    ("ATE after loops", "ate_m", "m"),
+    ("Loops accepted", "n_loops", ""),
+    ("Loops that are right", "loop_precision", "share"),
+    ("Scene labels that are right", "scene_accuracy", "share"),
+    ("Frames", "n_frames", ""),
+    ("Keyframes", "n_keyframes", ""),
+    ("Speed", "fps", "frames/s"),
+    ("Peak memory", "peak_rss_mb", "MB"),
+)
+
+
+def run(
+    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence of depth frames.")],
+    out: OUT = Path("runs"),
+    config: Annotated[
+        str, typer.Option("--config", "-c", metavar="PRESET|FILE", help="Parameters.")
+    ] = "indoor",
+    assignments: SET = None,
+    dataset: Annotated[
+        str | None, typer.Option(help="Layout of the folder; auto looks at it.")
+    ] = None,
+    model: Annotated[str | None, typer.Option(help="Model file, or default.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random.")] = None,
+    max_frames: Annotated[int | None, typer.Option(min=1, help="Stop after so many.")] = None,
+    as_json: JSON = False,
+    quiet: QUIET = False,
+) -> None:
+    """Run the mini-SLAM over a sequence: trajectory, loops, labels and map into a new folder."""
+    from slam_bof import config as configs
+
+    chosen = configs.override(configs.resolve(config), assignments or [])
+    given = {"dataset": dataset, "model": model, "seed": seed}
+    chosen = chosen.model_copy(update={k: v for k, v in given.items() if v is not None})
+    result = _run(sequence, chosen, out, max_frames=max_frames, quiet=quiet)
+    _show(result, as_json=as_json)
+
+
+def demo(
+    out: OUT = Path("runs"),
+    seed: Annotated[int, typer.Option(min=0, help="Of the flat, the tour and the run.")] = 0,
+    max_frames: Annotated[int | None, typer.Option(min=1, help="Stop after so many.")] = None,
+    as_json: JSON = False,
+    quiet: QUIET = False,
+) -> None:
+    """Walk through a synthetic flat, made once and kept, and show what loops do for the map."""
+    from slam_bof import config as configs
+    from slam_bof import synthetic
+    from slam_bof.cli.console import Bar
+
+    # A shortened tour gets a place of its own, so as not to take that of the whole one.
+    folder = _cache() / (f"seed-{seed}" + (f"-first-{max_frames}" if max_frames else ""))
+    with Bar("Making a flat", quiet=quiet) as bar:
+        sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
+    config = configs.preset("indoor").model_copy(update={"seed": seed})
+    result = _run(sequence, config, out, max_frames=max_frames, quiet=quiet)
+    _show(result, as_json=as_json)
+
+
+def _run(
+    sequence: Path, config: Config, out: Path, *, max_frames: int | None, quiet: bool
+) -> RunResult:
+    from slam_bof import registry
+    from slam_bof.cli.console import FrameBar
+    from slam_bof.run import run_sequence
+
+    dataset = registry.open_dataset(sequence, config.dataset)
+    with FrameBar(dataset.sequence, quiet=quiet) as observer:
+        return run_sequence(dataset, config, out, observer=observer, max_frames=max_frames)
+
+
+def _show(result: RunResult, *, as_json: bool) -> None:
+    from slam_bof.cli.console import print_json, print_table
+
+    if as_json:
+        print_json({"folder": str(result.folder), **result.metrics})
+        return
+    rows = [(what, result.metrics.get(key), unit) for what, key, unit in SUMMARY]
+    print_table(("", "value", "unit"), rows, title=str(result.metrics["sequence"]))
+    typer.echo(f"Files: {result.folder}")
+    typer.echo(f"Report: {result.folder / 'report.html'}")
+
+
+def _cache() -> Path:
+    """Return the folder for what can be made again."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "slam_bof"
