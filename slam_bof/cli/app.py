@@ -8,7 +8,9 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from slam_bof.cli import maps, running, system
+from slam_bof.cli.maps import export, query, report
+from slam_bof.cli.running import demo, run
+from slam_bof.cli.system import config, doctor, plugins, version
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
@@ -52,17 +54,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (
-    running.demo,
-    running.run,
-    maps.query,
-    maps.report,
-    maps.export,
-    system.plugins,
-    system.config,
-    system.doctor,
-    system.version,
-):
+for command in (demo, run, query, report, export, plugins, config, doctor, version):
     app.command()(command)
 
 
