@@ -1,0 +1,29 @@
+"""A synthetic world: furnished rooms, a flat with a tour, and a depth-sensor model.
+
+Open3D, which casts the rays, is imported when the first ``Scene3D`` is made.
+"""
+
+from slam_bof.synthetic.flat import make_flat, make_tour
+from slam_bof.synthetic.rooms import ROOM_KINDS, make_room
+from slam_bof.synthetic.scene import KINECT, Scene3D
+from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.tour import spin, walk
+from slam_bof.synthetic.views import training_views
+from slam_bof.synthetic.writer import is_complete, write_flat, write_sequence
+
+__all__ = [
+    "KINECT",
+    "ROOM_KINDS",
+    "Scene3D",
+    "SensorParams",
+    "is_complete",
+    "make_flat",
+    "make_room",
+    "make_tour",
+    "sense",
+    "spin",
+    "training_views",
+    "walk",
+    "write_flat",
+    "write_sequence",
+]

@@ -1,0 +1,230 @@
+"""Rooms of several kinds, each furnished in its own way from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from slam_bof.synthetic import furniture as f
+from slam_bof.synthetic.furnisher import Furnisher
+from slam_bof.synthetic.meshes import Mesh, merge
+from slam_bof.synthetic.walls import Opening, shell, wall_length
+from slam_bof.types import Array
+
+__all__ = ["ROOM_KINDS", "Room", "make_room"]
+
+DOOR_WIDTH_M = 0.92
+DOOR_HEIGHT_M = 2.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """A furnished room: its corner at the origin, ``size`` (3,), ``boxes`` (K, 2, 3) in the way."""
+
+    kind: str
+    size: Array
+    mesh: Mesh
+    boxes: Array
+
+
+def _kitchen(p: Furnisher) -> None:
+    p.in_corner(f.counter)
+    p.in_corner(f.fridge)
+    p.against_wall(f.stove)
+    p.against_wall(f.counter)
+    p.free_standing(f.dining_set, chance=0.8)
+    p.against_wall(f.bin_, n=2)
+    p.against_wall(f.wall_shelf, n=2, chance=0.7)
+    p.against_wall(f.chair, chance=0.6)
+    p.against_wall(f.boxes, chance=0.5)
+    p.against_wall(f.picture, n=2)
+
+
+def _office(p: Furnisher) -> None:
+    p.against_wall(f.desk, n=2)
+    p.against_wall(f.bookshelf, n=2)
+    p.against_wall(f.desk, chance=0.5)
+    p.against_wall(f.cabinet, n=2, chance=0.8)
+    p.against_wall(f.whiteboard)
+    p.in_corner(f.plant, chance=0.6)
+    p.against_wall(f.bin_, n=2)
+    p.against_wall(f.boxes, n=2, chance=0.6)
+    p.free_standing(f.office_chair, chance=0.5)
+    p.against_wall(f.picture, n=2)
+
+
+def _bedroom(p: Furnisher) -> None:
+    p.against_wall(f.bed)
+    p.against_wall(f.wardrobe)
+    p.against_wall(f.nightstand, n=2)
+    p.against_wall(f.cabinet)
+    p.against_wall(f.wardrobe, chance=0.5)
+    p.in_corner(f.floor_lamp, chance=0.6)
+    p.against_wall(f.chair, chance=0.7)
+    p.against_wall(f.bookshelf, chance=0.3)
+    p.against_wall(f.picture, n=3)
+    p.against_wall(f.boxes, chance=0.5)
+
+
+def _bathroom(p: Furnisher) -> None:
+    p.in_corner(f.bathtub)
+    p.against_wall(f.toilet)
+    p.against_wall(f.wash_basin)
+    p.against_wall(f.washing_machine, chance=0.8)
+    p.in_corner(f.shower, chance=0.5)
+    p.against_wall(f.towel_rail)
+    p.against_wall(f.wash_basin, chance=0.3)
+    p.against_wall(f.wall_shelf, n=2, chance=0.6)
+    p.against_wall(f.bin_, n=2)
+
+
+def _living_room(p: Furnisher) -> None:
+    p.against_wall(f.sofa)
+    p.against_wall(f.tv_stand)
+    p.against_wall(f.armchair)
+    p.free_standing(f.coffee_table)
+    p.against_wall(f.bookshelf, n=2, chance=0.8)
+    p.against_wall(f.sofa, chance=0.4)
+    p.in_corner(f.floor_lamp)
+    p.in_corner(f.plant, n=2, chance=0.8)
+    p.against_wall(f.armchair, chance=0.5)
+    p.against_wall(f.wall_shelf, chance=0.7)
+    p.against_wall(f.picture, n=3)
+
+
+def _corridor(p: Furnisher) -> None:
+    p.against_wall(f.coat_rack)
+    p.against_wall(f.console)
+    p.against_wall(f.shoe_rack)
+    p.against_wall(f.wall_cabinet, n=2)
+    p.against_wall(f.picture, n=3)
+    p.against_wall(f.wall_shelf, n=2, chance=0.6)
+    p.in_corner(f.plant, chance=0.6)
+    p.against_wall(f.boxes, n=2, chance=0.6)
+    p.against_wall(f.shoe_rack, chance=0.5)
+    p.against_wall(f.coat_rack, chance=0.4)
+    p.against_wall(f.bin_, chance=0.5)
+
+
+def _meeting_room(p: Furnisher) -> None:
+    p.free_standing(f.conference_set, margin=0.9)
+    p.against_wall(f.whiteboard, n=2)
+    p.against_wall(f.cabinet, n=2)
+    p.in_corner(f.plant, n=2, chance=0.7)
+    p.against_wall(f.tv_stand, chance=0.5)
+    p.against_wall(f.chair, n=3, chance=0.7)
+    p.against_wall(f.picture, n=2)
+    p.against_wall(f.bin_)
+
+
+def _filler(rng: np.random.Generator) -> Mesh:
+    """Make one of the things that stand about or hang on walls everywhere."""
+    makers = (f.picture, f.wall_shelf, f.wall_cabinet, f.sconce, f.boxes, f.plant, f.cabinet)
+    chance = (0.15, 0.2, 0.2, 0.1, 0.15, 0.1, 0.1)
+    return makers[rng.choice(len(makers), p=chance)](rng)
+
+
+_SIZES_M: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
+    "bathroom": ((2.2, 2.9), (2.4, 3.3)),
+    "bedroom": ((3.2, 4.2), (3.4, 4.4)),
+    "corridor": ((1.5, 2.1), (4.5, 8.0)),
+    "kitchen": ((2.8, 4.0), (3.0, 4.4)),
+    "living_room": ((3.6, 5.2), (4.0, 5.4)),
+    "meeting_room": ((3.8, 5.0), (4.6, 6.2)),
+    "office": ((3.2, 4.6), (3.6, 5.0)),
+}
+_FURNISH: dict[str, Callable[[Furnisher], None]] = {
+    "bathroom": _bathroom,
+    "bedroom": _bedroom,
+    "corridor": _corridor,
+    "kitchen": _kitchen,
+    "living_room": _living_room,
+    "meeting_room": _meeting_room,
+    "office": _office,
+}
+
+ROOM_KINDS = tuple(sorted(_FURNISH))
+"""The kinds of rooms that can be made, which are the scene labels of the synthetic world."""
+
+
+def make_room(
+    kind: str,
+    seed: int,
+    *,
+    size: tuple[float, float, float] | None = None,
+    openings: list[Opening] | None = None,
+    clear: Array | None = None,
+) -> Room:
+    """Build and furnish a room.
+
+    Parameters
+    ----------
+    kind
+        One of ``ROOM_KINDS``.
+    seed
+        The same seed and options give the same room.
+    size
+        Width, depth and height in metres; by default random, typical of the kind.
+    openings
+        Doors and windows; by default one or two doors and windows at random places.
+    clear
+        (K, 3) circles x, y, radius that furniture leaves free; by default none.
+
+    Returns
+    -------
+    Room
+        In its own frame: corner at the origin, x along its width, z up.
+
+    Raises
+    ------
+    ValueError
+        If the kind is unknown.
+    """
+    if kind not in _FURNISH:
+        raise ValueError(f"kind must be one of {', '.join(ROOM_KINDS)}, got {kind!r}")
+    rng = np.random.default_rng([seed, ROOM_KINDS.index(kind)])
+    if size is None:
+        (a, b), (c, d) = _SIZES_M[kind]
+        size = (rng.uniform(a, b), rng.uniform(c, d), rng.uniform(2.4, 2.8))
+    width, depth, height = size
+    if openings is None:
+        openings = _random_openings(kind, width, depth, rng)
+    if clear is None:
+        clear = np.empty((0, 3))
+    placer = Furnisher(width, depth, openings, clear, rng)
+    _FURNISH[kind](placer)
+    placer.against_wall(_filler, n=round(1.8 * (width + depth)))
+    for _ in range(sum(opening.pane == "window" for opening in openings)):
+        placer.against_wall(f.radiator)
+    placer.hanging(f.ceiling_lamp, height)
+    walls = shell(width, depth, height, openings, rng)
+    return Room(kind, np.array(size), merge([walls, *placer.meshes]), placer.boxes())
+
+
+def _random_openings(
+    kind: str, width: float, depth: float, rng: np.random.Generator
+) -> list[Opening]:
+    """Choose a wall for each door and window, at most one to a wall (corridors: many doors)."""
+    walls = rng.permutation(4)
+    n_doors = 1 if rng.random() < 0.7 else 2
+    openings = []
+    for i, wall in enumerate(int(w) for w in walls):
+        length = wall_length(wall, width, depth)
+        if kind == "corridor":
+            spots = np.arange(0.9, length - 0.8, 1.9) + rng.uniform(0.0, 0.3)
+            for x in spots:
+                if rng.random() < 0.65:
+                    pane = "door" if rng.random() < 0.7 else "open"
+                    openings.append(Opening(wall, float(x), DOOR_WIDTH_M, 0.0, DOOR_HEIGHT_M, pane))
+        elif i < n_doors:
+            x = rng.uniform(0.6, length - 0.6)
+            pane = "door" if rng.random() < 0.6 else "open"
+            openings.append(Opening(wall, x, DOOR_WIDTH_M, 0.0, DOOR_HEIGHT_M, pane))
+        elif rng.random() < 0.5 and length > 2.0:
+            w = rng.uniform(0.8, min(1.8, length - 0.9))
+            x = rng.uniform(w / 2 + 0.2, length - w / 2 - 0.2)
+            low = 0.85 if kind != "bathroom" else 1.3
+            openings.append(Opening(wall, x, w, low, 2.15, "window"))
+    return openings

@@ -1,0 +1,82 @@
+"""Seeing a mesh with a pinhole camera: depth, colour and incidence by ray casting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.native import import_open3d
+from slam_bof.synthetic.meshes import Mesh
+from slam_bof.types import Intrinsics, Pose
+
+__all__ = ["KINECT", "Scene3D", "View"]
+
+KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
+"""The depth camera of 7-Scenes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """What a perfect camera sees.
+
+    ``depth_m`` (H, W) float32 is z, 0 where a ray leaves the scene; ``cosine`` (H, W) float32
+    that of the angle between ray and surface normal; ``triangle`` (H, W) the index of the
+    triangle hit, -1 where none.
+    """
+
+    depth_m: NDArray[np.float32]
+    cosine: NDArray[np.float32]
+    triangle: NDArray[np.int64]
+
+
+class Scene3D:
+    """A mesh that can be looked at, from one kind of camera.
+
+    Parameters
+    ----------
+    mesh
+        In the world frame.
+    intrinsics
+        Of the camera.
+    """
+
+    def __init__(self, mesh: Mesh, intrinsics: Intrinsics = KINECT) -> None:
+        o3d = import_open3d()
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        corners = mesh.triangles.reshape(-1, 3).astype(np.float32)
+        index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+        self._scene.add_triangles(self._tensor(corners), self._tensor(index))
+        self._albedo = (255 * mesh.albedo).astype(np.float32)
+        self.intrinsics = intrinsics
+        v, u = np.mgrid[: intrinsics.height, : intrinsics.width]
+        x = (u - intrinsics.cx) / intrinsics.fx
+        y = (v - intrinsics.cy) / intrinsics.fy
+        # With z = 1 in every direction, the distance along the ray is the depth z itself.
+        self._rays = np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
+        self._length = np.linalg.norm(self._rays, axis=-1)
+
+    def view(self, T_world_camera: Pose) -> View:
+        """Cast one ray through each pixel centre."""
+        R, t = T_world_camera[:3, :3].astype(np.float32), T_world_camera[:3, 3]
+        rays = np.empty((*self._length.shape, 6), np.float32)
+        rays[..., :3] = t
+        directions = self._rays @ R.T
+        rays[..., 3:] = directions
+        hits = self._scene.cast_rays(self._tensor.from_numpy(rays))
+        depth = hits["t_hit"].numpy()
+        missed = np.isinf(depth)
+        depth[missed] = 0.0
+        cosine = np.abs(np.einsum("hwi,hwi->hw", hits["primitive_normals"].numpy(), directions))
+        triangle = hits["primitive_ids"].numpy().astype(np.int64)
+        triangle[missed] = -1
+        return View(depth, cosine / self._length, triangle)
+
+    def color(self, view: View) -> NDArray[np.uint8]:
+        """Shade a view (H, W, 3) RGB: albedo in the light of a lamp beside the camera."""
+        shade = (0.35 + 0.65 * view.cosine) / (1.0 + 0.02 * np.square(view.depth_m))
+        shaded = self._albedo[view.triangle] * shade[..., None]
+        shaded[view.triangle < 0] = 0.0
+        return shaded.astype(np.uint8)

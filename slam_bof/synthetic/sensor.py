@@ -1,0 +1,132 @@
+"""What a structured-light depth camera makes of true depth: noise, steps, shadows, gaps.
+
+Noise after Nguyen, Izadi and Lovell, *Modeling Kinect sensor noise for improved 3D
+reconstruction and tracking* (3DIMPVT 2012): the axial standard deviation grows with the
+square of depth, the lateral one is just under a pixel.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.types import INVALID_DEPTH_MM, Params
+
+__all__ = ["SensorParams", "sense"]
+
+
+class SensorParams(Params):
+    """The depth camera: a Kinect's as 7-Scenes has it.
+
+    ``focal_px`` times ``baseline_m`` over z is the disparity, measured in steps of
+    ``disparity_step_px``; axial noise is ``noise_floor_m + noise_growth * (z - 0.4)^2``, the
+    same over about ``noise_grain_px``; edges wander by ``lateral_px``; the share of pixels that
+    a grazing surface loses grows as its cosine falls below ``grazing_cosine``.
+    """
+
+    focal_px: float = 585.0
+    baseline_m: float = 0.075
+    disparity_step_px: float = 0.125
+    noise_floor_m: float = 0.0012
+    noise_growth: float = 0.0019
+    noise_grain_px: float = 1.2
+    lateral_px: float = 0.8
+    edge_ratio: float = 0.03
+    edge_loss: float = 0.35
+    grazing_cosine: float = 0.2
+    speckle_loss: float = 0.002
+    min_range_m: float = 0.4
+    max_range_m: float = 4.5
+
+
+def sense(
+    depth_m: NDArray[np.float32],
+    cosine: NDArray[np.float32],
+    rng: np.random.Generator,
+    params: SensorParams | None = None,
+) -> NDArray[np.uint16]:
+    """Measure true depth as the sensor would.
+
+    Parameters
+    ----------
+    depth_m
+        (H, W) true z in metres, 0 where there is nothing.
+    cosine
+        (H, W) of the angle between ray and surface normal.
+    rng
+        Makes the noise.
+    params
+        The sensor.
+
+    Returns
+    -------
+    NDArray[np.uint16]
+        (H, W) millimetres; 0 where shadow, edge or chance lost the pixel, and 65535 where the
+        surface is out of range.
+    """
+    p = SensorParams() if params is None else params
+    depth = depth_m.astype(np.float32)
+    edge = _edges(depth, p.edge_ratio)
+    depth = _jitter(depth, edge, rng, p.lateral_px)
+    chance = rng.random(depth.shape, dtype=np.float32)
+    lost = chance < p.speckle_loss + p.edge_loss * edge
+    lost |= chance * p.grazing_cosine > cosine
+    lost |= _shadow(depth, p.focal_px * p.baseline_m)
+
+    near, far = depth < p.min_range_m, depth > p.max_range_m
+    outside = near | far
+    safe = np.where(outside, np.float32(1.0), depth)
+    sigma = p.noise_floor_m + p.noise_growth * np.square(safe - 0.4)
+    noisy = safe + sigma * _grain(depth.shape, rng, p.noise_grain_px)
+    step = np.float32(p.focal_px * p.baseline_m / p.disparity_step_px)
+    measured = step / np.round(step / noisy)
+    out = np.round(1000.0 * measured).astype(np.uint16)
+    out[outside] = INVALID_DEPTH_MM
+    out[lost & (depth > 0)] = 0
+    return out
+
+
+def _edges(depth: NDArray[np.float32], ratio: float) -> NDArray[np.bool_]:
+    """Find the pixels whose 3x3 neighbourhood jumps by more than a share of its depth."""
+    window = np.ones((3, 3), np.uint8)
+    low, high = cv2.erode(depth, window), cv2.dilate(depth, window)
+    return np.asarray(high - low > ratio * high)
+
+
+def _jitter(
+    depth: NDArray[np.float32], edge: NDArray[np.bool_], rng: np.random.Generator, sigma: float
+) -> NDArray[np.float32]:
+    """Let every pixel at an edge take the depth of a pixel nearby."""
+    height, width = depth.shape
+    v, u = np.nonzero(edge)
+    shift = np.round(rng.normal(0.0, sigma, (2, len(v)))).astype(np.int64)
+    out = depth.copy()
+    out[v, u] = depth[np.clip(v + shift[0], 0, height - 1), np.clip(u + shift[1], 0, width - 1)]
+    return out
+
+
+def _shadow(depth: NDArray[np.float32], focal_baseline: float) -> NDArray[np.bool_]:
+    """Find what the projector, a baseline to the camera's right, cannot light.
+
+    A point in column u lies in the projector's column u - disparity; it is in the shadow of a
+    point further right in the camera's image that the projector has at or left of it.
+    """
+    u = np.arange(depth.shape[1], dtype=np.float32)
+    seen = depth > 0
+    projector = np.where(seen, u - focal_baseline / np.where(seen, depth, 1.0), np.inf)
+    leftmost = np.minimum.accumulate(projector[:, ::-1], axis=1)[:, ::-1]
+    # Half a pixel of tolerance: surfaces seen edge-on are the grazing rule's.
+    return np.asarray(leftmost < projector - 0.5)
+
+
+def _grain(
+    shape: tuple[int, ...], rng: np.random.Generator, sigma_px: float
+) -> NDArray[np.float32]:
+    """Make unit noise that neighbours share, as the sensor matches windows, not pixels."""
+    noise = rng.standard_normal(shape, dtype=np.float32)
+    if sigma_px <= 0:
+        return noise
+    smooth = cv2.GaussianBlur(noise, (0, 0), sigma_px)
+    # The kernel sums to 1, so the variance falls to the sum of its squares, about this.
+    return np.asarray(smooth * np.float32(2.0 * np.sqrt(np.pi) * sigma_px))

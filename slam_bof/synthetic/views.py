@@ -1,0 +1,72 @@
+"""Random hand-held views inside random rooms, to train a model on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from slam_bof.synthetic.furnisher import distance_to_boxes
+from slam_bof.synthetic.rooms import Room, make_room
+from slam_bof.synthetic.scene import Scene3D
+from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.tour import FRAME_RATE_HZ, camera_poses
+from slam_bof.types import DepthFrame, Pose
+
+__all__ = ["training_views"]
+
+_TRIES = 200
+
+
+def training_views(
+    kind: str, seed: int, n_views: int, *, sensor: SensorParams | None = None
+) -> Iterator[DepthFrame]:
+    """Yield views from random viewpoints in one random room.
+
+    Parameters
+    ----------
+    kind
+        One of ``ROOM_KINDS``.
+    seed
+        Of room, viewpoints and noise.
+    n_views
+        How many.
+    sensor
+        The depth camera.
+
+    Yields
+    ------
+    DepthFrame
+        640x480 uint16 millimetres. Eyes are 1.1 to 1.7 m high, half a metre from furniture,
+        and look at nothing nearer than 0.6 m.
+    """
+    room = make_room(kind, seed)
+    scene = Scene3D(room.mesh)
+    rng = np.random.default_rng([seed, 11])
+    for i in range(n_views):
+        for _ in range(_TRIES):
+            view = scene.view(_viewpoint(room, rng))
+            seen = view.depth_m[::8, ::8]
+            near = np.percentile(seen[seen > 0], 15) if (seen > 0).any() else 0.0
+            if near > 0.6 and np.mean(seen > 0) > 0.5:
+                break
+        depth = sense(view.depth_m, view.cosine, rng, sensor)
+        yield DepthFrame(i / FRAME_RATE_HZ, depth, scene.intrinsics)
+
+
+def _viewpoint(room: Room, rng: np.random.Generator) -> Pose:
+    """Choose a free place in the room and a direction, most often across the room."""
+    width, depth, _ = room.size
+    best, best_room = np.zeros(3), -1.0
+    for _ in range(_TRIES):
+        x, y = rng.uniform((0.35, 0.35), (width - 0.35, depth - 0.35))
+        z = rng.uniform(1.1, 1.7)
+        point = np.array([[x, y, z]])
+        free = distance_to_boxes(point, room.boxes).min() if len(room.boxes) else np.inf
+        if free > best_room:
+            best, best_room = point[0], free
+        if free > 0.35:
+            break
+    across = np.arctan2(depth / 2 - best[1], width / 2 - best[0])
+    yaw = across + rng.normal(0.0, 1.2)
+    return camera_poses(best, yaw, rng.normal(0.25, 0.18), rng.normal(0.0, 0.05))

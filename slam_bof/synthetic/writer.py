@@ -1,0 +1,218 @@
+"""Write sequences in exact 7-Scenes layout: depth, colour, poses, splits, and room labels."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import shutil
+import tempfile
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from slam_bof.errors import DatasetError
+from slam_bof.synthetic.flat import make_flat, make_tour
+from slam_bof.synthetic.scene import Scene3D, View
+from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.types import Array, Pose
+
+__all__ = ["Progress", "is_complete", "write_flat", "write_sequence"]
+
+Progress = Callable[[int, int], None]
+"""Called with the number of frames written and to be written."""
+
+_GENERATION = 1
+"""Counted up whenever the generator gives other bytes, so that old caches are not taken."""
+_RECIPE = "recipe.json"
+_FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+
+
+def write_flat(
+    folder: Path,
+    *,
+    seed: int = 0,
+    n_frames: int | None = None,
+    progress: Progress | None = None,
+) -> Path:
+    """Write the tour of a synthetic flat as ``folder/flat/seq-01``, unless it is there already.
+
+    Parameters
+    ----------
+    folder
+        Where to put the scene folder ``flat``; made if missing.
+    seed
+        Of flat, tour and sensor noise; the same seed gives the same bytes.
+    n_frames
+        Only so many frames from the tour's start; by default all.
+    progress
+        Called after each frame.
+
+    Returns
+    -------
+    Path
+        The sequence's folder, with a ``scenes.csv`` of true room labels.
+
+    Raises
+    ------
+    DatasetError
+        If ``folder/flat`` exists and was not written by this function.
+    """
+    flat = make_flat(seed)
+    poses = make_tour(flat, seed=seed)[:n_frames]
+    recipe = {"generation": _GENERATION, "kind": "flat", "seed": seed, "n_frames": len(poses)}
+    target = folder / "flat"
+    if not is_complete(target, recipe):
+        labels = [flat.kind_at(x, y) for x, y in poses[:, :2, 3]]
+        write_scene(
+            target,
+            "seq-01",
+            Scene3D(flat.mesh),
+            poses,
+            recipe=recipe,
+            labels=labels,
+            seed=seed,
+            progress=progress,
+        )
+    return target / "seq-01"
+
+
+def is_complete(folder: Path, recipe: dict[str, object]) -> bool:
+    """Tell whether a scene folder was written to its end, from this very recipe."""
+    try:
+        return bool(json.loads((folder / _RECIPE).read_text("utf-8")) == recipe)
+    except (OSError, ValueError):
+        return False
+
+
+def write_scene(
+    folder: Path,
+    sequence: str,
+    scene: Scene3D,
+    poses: Array,
+    *,
+    recipe: dict[str, object],
+    frame_numbers: Sequence[int] | None = None,
+    labels: Sequence[str] | None = None,
+    seed: int = 0,
+    sensor: SensorParams | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Write a scene folder of one sequence, all or nothing.
+
+    Raises
+    ------
+    DatasetError
+        If the folder exists and holds something else than a synthetic scene.
+    """
+    if folder.exists() and not (folder / _RECIPE).is_file():
+        raise DatasetError(
+            f"{folder}: found files of somebody else's, expected nothing or a synthetic scene"
+        )
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        building.chmod(0o755)
+        write_sequence(
+            building / sequence,
+            scene,
+            poses,
+            frame_numbers=frame_numbers,
+            seed=seed,
+            sensor=sensor,
+            progress=progress,
+        )
+        if labels is not None:
+            numbers = range(len(poses)) if frame_numbers is None else frame_numbers
+            _write_labels(building / sequence / "scenes.csv", numbers, labels)
+        split = f"sequence{int(sequence.rsplit('-', 1)[1])}\n"
+        for name in ("TrainSplit.txt", "TestSplit.txt"):
+            (building / name).write_text(split, "utf-8")
+        (building / _RECIPE).write_text(json.dumps(recipe) + "\n", "utf-8")
+        if folder.exists():
+            shutil.rmtree(folder)
+        building.rename(folder)
+    finally:
+        shutil.rmtree(building, ignore_errors=True)
+
+
+def write_sequence(
+    folder: Path,
+    scene: Scene3D,
+    poses: Array,
+    *,
+    frame_numbers: Sequence[int] | None = None,
+    seed: int = 0,
+    sensor: SensorParams | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Look at a scene from each pose and write the frames into a folder.
+
+    Parameters
+    ----------
+    folder
+        Made if missing; gets ``frame-NNNNNN.{depth.png,color.png,pose.txt}``.
+    scene
+        What is seen.
+    poses
+        ``T_world_camera`` (N, 4, 4).
+    frame_numbers
+        The numbers in the files' names, by default 0 to N - 1.
+    seed
+        Of the sensor noise; each frame's noise depends on it and the frame's number alone.
+    sensor
+        The depth camera.
+    progress
+        Called after each frame.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    numbers = list(range(len(poses)) if frame_numbers is None else frame_numbers)
+    pending: deque[Future[None]] = deque()
+    # Ray casting and PNG coding both release the interpreter: one thread each keeps two busy.
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        for done, (number, pose) in enumerate(zip(numbers, poses, strict=True), start=1):
+            view = scene.view(pose)
+            pending.append(
+                pool.submit(_write_frame, folder, number, scene, view, pose, seed, sensor)
+            )
+            while len(pending) > 3:
+                pending.popleft().result()
+            if progress is not None:
+                progress(done, len(numbers))
+        while pending:
+            pending.popleft().result()
+
+
+def _write_frame(
+    folder: Path,
+    number: int,
+    scene: Scene3D,
+    view: View,
+    T_world_camera: Pose,
+    seed: int,
+    sensor: SensorParams | None,
+) -> None:
+    rng = np.random.default_rng([seed, number])
+    depth = sense(view.depth_m, view.cosine, rng, sensor)
+    color = scene.color(view)[..., ::-1]
+    stem = f"frame-{number:06d}"
+    for name, image in ((f"{stem}.depth.png", depth), (f"{stem}.color.png", color)):
+        path = folder / name
+        coded, data = cv2.imencode(".png", image, _FAST_PNG)
+        if not coded:
+            raise OSError(f"{path}: could not be coded as PNG")
+        path.write_bytes(data.tobytes())
+    text = io.StringIO()
+    np.savetxt(text, T_world_camera, fmt="%.9e", delimiter="\t")
+    (folder / f"{stem}.pose.txt").write_text(text.getvalue(), "utf-8")
+
+
+def _write_labels(path: Path, numbers: Sequence[int], labels: Sequence[str]) -> None:
+    with path.open("w", encoding="utf-8", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(("frame", "scene"))
+        table.writerows(zip(numbers, labels, strict=True))
