@@ -123,7 +123,8 @@ class FrameBar(Bar):
 def _text(value: object) -> str:
     if value is None:
         return "-"
-    return f"{value:.3f}" if isinstance(value, float) else str(value)
+    # Adding 0 makes a negative zero positive.
+    return f"{round(value, 3) + 0.0:.3f}" if isinstance(value, float) else str(value)
 
 
 def _plain(value: Any) -> Any:
