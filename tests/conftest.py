@@ -40,7 +40,7 @@ def box_room_depth_mm(
     )
     rays_world = rays_camera @ T_world_camera[:3, :3].T
     with np.errstate(divide="ignore"):
-        walls = np.sign(rays_world) * np.array(half_size_m)
+        walls = np.copysign(half_size_m, rays_world)
         depth_m = ((walls - T_world_camera[:3, 3]) / rays_world).min(axis=-1, initial=np.inf)
     return np.round(1000 * depth_m).astype(np.uint16)
 
