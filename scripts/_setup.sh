@@ -37,7 +37,8 @@ install_into_venv() {
         fi
     fi
     say "Installing slam_bof and what it needs (a few minutes the first time)"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-input \
+    # Twice quiet: errors only. Packages of other people warn of extras that are no more.
+    "$venv/bin/python" -m pip install -qq --disable-pip-version-check --no-input \
         --constraint "$root/scripts/constraints.txt" --editable "$target"
     # The stamp of the other extra stays good: both are installed from the same pins.
     printf '%s' "$wanted" >"$stamp"

@@ -1,0 +1,86 @@
+"""That what is written about packages, pins and scripts holds together."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+from slam_bof import registry
+
+ROOT = Path(__file__).resolve().parent.parent
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+CONSTRAINTS = (ROOT / "scripts" / "constraints.txt").read_text(encoding="utf-8").splitlines()
+PIN = re.compile(r"([A-Za-z0-9._-]+)==([0-9][A-Za-z0-9.+!]*)")
+SCRIPTS = ["scripts/demo", "scripts/test", ".ci/run"]
+
+
+def pins() -> dict[str, str]:
+    matches = [PIN.fullmatch(line) for line in CONSTRAINTS if line and not line.startswith("#")]
+    assert all(matches), "constraints are lines of name==version and nothing else"
+    return {canonicalize_name(match[1]): match[2] for match in matches if match}
+
+
+def test_every_requirement_is_pinned_to_a_version_that_it_allows() -> None:
+    project = PROJECT["project"]
+    for text in project["dependencies"] + project["optional-dependencies"]["dev"]:
+        requirement = Requirement(text)
+        name = canonicalize_name(requirement.name)
+        assert name in pins(), f"{name} is not pinned in scripts/constraints.txt"
+        assert requirement.specifier.contains(pins()[name]), f"{name} {pins()[name]}"
+
+
+def test_no_pin_is_given_twice() -> None:
+    names = [canonicalize_name(line.split("==")[0]) for line in CONSTRAINTS if "==" in line]
+    assert len(names) == len(set(names))
+
+
+def test_gtsam_knows_numpy_2() -> None:
+    (requirement,) = [
+        Requirement(text) for text in PROJECT["project"]["dependencies"] if text.startswith("gtsam")
+    ]
+    assert not requirement.specifier.contains("4.2.2")
+
+
+def test_installed_plugins_are_those_declared() -> None:
+    groups = PROJECT["project"]["entry-points"]
+    for group, entries in groups.items():
+        port = group.removeprefix("slam_bof.")
+        installed = {item.name: item.target for item in registry.listing() if item.port == port}
+        assert entries.items() <= installed.items(), "install slam_bof again"
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_scripts_can_be_run_and_stop_at_the_first_error(script: str) -> None:
+    path = ROOT / script
+    assert os.access(path, os.X_OK)
+    subprocess.run(["bash", "-n", str(path)], check=True)
+    assert "set -euo pipefail" in path.read_text()
+
+
+def test_an_old_python_is_told_of_in_one_line(tmp_path: Path) -> None:
+    """A copy of the scripts, and a Python that says it is 3.9."""
+    (tmp_path / "scripts").mkdir()
+    for name in ("test", "_setup.sh", "constraints.txt"):
+        (tmp_path / "scripts" / name).write_text((ROOT / "scripts" / name).read_text())
+    (tmp_path / "pyproject.toml").write_text("")
+    old = tmp_path / "python3"
+    old.write_text('#!/bin/sh\n[ "$1" = --version ] && echo "Python 3.9.2" && exit\nexit 1\n')
+    old.chmod(0o755)
+    done = subprocess.run(
+        ["bash", str(tmp_path / "scripts" / "test")],
+        env={**os.environ, "PYTHON": str(old)},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    assert done.stderr == (
+        "error: found Python 3.9.2, expected CPython 3.11 or newer; set PYTHON to name one\n"
+    )
+    assert not (tmp_path / ".venv").exists()
