@@ -145,24 +145,24 @@ def _visit(room: RoomPlace) -> list[Waypoint]:
     x, y = room.door
     n = room.inward
     ahead = n * np.pi / 2
-    # One steps to the side where there is more room, and looks there first.
+    # The long sweep goes over the side with more room: it shows more than a wall close by.
     side = 1.0 if room.high[0] - x > x - room.low[0] else -1.0
-    turn = -n * side
+    turn = n * side
     hall = y - n * (2 * WALL_THICKNESS_M + _HALL_WIDTH_M / 2)
     return [
         Waypoint(x, hall, ahead, pitch=0.2),
         Waypoint(x, y + 0.4 * n, ahead, pitch=0.25),
-        Waypoint(x + 0.5 * side, y + 1.35 * n, ahead + turn * 0.5, pitch=0.35),
-        Waypoint(x + 0.3 * side, y + 1.4 * n, ahead - turn * 0.8, pitch=0.35),
-        Waypoint(x, y + 1.0 * n, ahead - turn * 2.4, pitch=0.25),
+        Waypoint(x + 0.2 * side, y + 1.4 * n, ahead + turn * 0.4, pitch=0.35),
+        Waypoint(x - 0.1 * side, y + 1.45 * n, ahead - turn * 0.8, pitch=0.35),
+        Waypoint(x, y + 1.1 * n, ahead - turn * 2.4, pitch=0.3),
         Waypoint(x, y + 0.4 * n, ahead - turn * np.pi, pitch=0.2),
         Waypoint(x, hall, ahead - turn * np.pi, pitch=0.2),
     ]
 
 
 def _clear(path: Array, radius: float) -> Array:
-    """Return circles (K, 3) every 0.1 m along a path (M, 2)."""
+    """Return columns (K, 4) every 0.1 m along a path (M, 2)."""
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
     along = np.arange(0.0, length[-1] + 0.1, 0.1)
     x, y = np.interp(along, length, path[:, 0]), np.interp(along, length, path[:, 1])
-    return np.stack([x, y, np.full_like(x, radius)], axis=1)
+    return np.stack([x, y, np.zeros_like(x), np.full_like(x, radius)], axis=1)

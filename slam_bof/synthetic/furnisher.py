@@ -36,7 +36,7 @@ class Furnisher:
     openings
         Doors and windows, which furniture leaves free.
     clear
-        (K, 3) circles x, y, radius on the floor that furniture leaves free.
+        (K, 4) columns x, y, bottom, radius that furniture leaves free, from ``bottom`` up.
     rng
         Chooses the places and the pieces.
     """
@@ -146,7 +146,7 @@ class Furnisher:
                 return False
         if len(self._clear) and bounds[0, 2] < _EYE_LEVEL_M:
             distance = distance_to_boxes(self._clear[:, :2], bounds[None, :, :2])[:, 0]
-            if (distance < self._clear[:, 2]).any():
+            if ((distance < self._clear[:, 3]) & (bounds[1, 2] > self._clear[:, 2])).any():
                 return False
         self.meshes.append(mesh)
         self._boxes.append(bounds)

@@ -170,7 +170,8 @@ def make_room(
     openings
         Doors and windows; by default one or two doors and windows at random places.
     clear
-        (K, 3) circles x, y, radius that furniture leaves free; by default none.
+        (K, 4) columns x, y, bottom, radius that furniture leaves free, from ``bottom`` up; by
+        default none.
 
     Returns
     -------
@@ -192,7 +193,7 @@ def make_room(
     if openings is None:
         openings = _random_openings(kind, width, depth, rng)
     if clear is None:
-        clear = np.empty((0, 3))
+        clear = np.empty((0, 4))
     placer = Furnisher(width, depth, openings, clear, rng)
     _FURNISH[kind](placer)
     placer.against_wall(_filler, n=round(1.8 * (width + depth)))

@@ -16,18 +16,23 @@ __all__ = ["KINECT", "Scene3D", "View"]
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 """The depth camera of 7-Scenes."""
 
+_BRIGHT = 0.35
+"""The albedo from which on a surface returns all the light that a depth camera needs."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
     """What a perfect camera sees.
 
     ``depth_m`` (H, W) float32 is z, 0 where a ray leaves the scene; ``cosine`` (H, W) float32
-    that of the angle between ray and surface normal; ``triangle`` (H, W) the index of the
-    triangle hit, -1 where none.
+    that of the angle between ray and surface normal; ``returned`` (H, W) float32 the share of
+    light that comes back, the cosine and less on dark surfaces; ``triangle`` (H, W) the index of
+    the triangle hit, -1 where none.
     """
 
     depth_m: NDArray[np.float32]
     cosine: NDArray[np.float32]
+    returned: NDArray[np.float32]
     triangle: NDArray[np.int64]
 
 
@@ -50,6 +55,7 @@ class Scene3D:
         index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
         self._scene.add_triangles(self._tensor(corners), self._tensor(index))
         self._albedo = (255 * mesh.albedo).astype(np.float32)
+        self._bright = np.minimum(mesh.albedo.mean(axis=1) / _BRIGHT, 1.0).astype(np.float32)
         self.intrinsics = intrinsics
         v, u = np.mgrid[: intrinsics.height, : intrinsics.width]
         x = (u - intrinsics.cx) / intrinsics.fx
@@ -72,7 +78,8 @@ class Scene3D:
         cosine = np.abs(np.einsum("hwi,hwi->hw", hits["primitive_normals"].numpy(), directions))
         triangle = hits["primitive_ids"].numpy().astype(np.int64)
         triangle[missed] = -1
-        return View(depth, cosine / self._length, triangle)
+        cosine /= self._length
+        return View(depth, cosine, cosine * self._bright[triangle], triangle)
 
     def color(self, view: View) -> NDArray[np.uint8]:
         """Shade a view (H, W, 3) RGB: albedo in the light of a lamp beside the camera."""

@@ -20,9 +20,12 @@ class SensorParams(Params):
     """The depth camera: a Kinect's as 7-Scenes has it.
 
     ``focal_px`` times ``baseline_m`` over z is the disparity, measured in steps of
-    ``disparity_step_px``; axial noise is ``noise_floor_m + noise_growth * (z - 0.4)^2``, the
-    same over about ``noise_grain_px``; edges wander by ``lateral_px``; the share of pixels that
-    a grazing surface loses grows as its cosine falls below ``grazing_cosine``.
+    ``disparity_step_px``. A reading's standard deviation, steps included, is
+    ``noise_floor_m + noise_growth * (z - 0.4)^2``; ``noise_grain_px`` is how far neighbours
+    share it. Edges wander by ``lateral_px``. Lost in patches of ``patch_px`` are the share
+    ``edge_loss`` of edges where depth jumps by more than ``edge_ratio`` of it, and surfaces that
+    return less light than ``weak_return`` (grazing or dark ones), the more the less;
+    single pixels with the chance ``speckle_loss``; and the right ``border_px`` columns.
     """
 
     focal_px: float = 585.0
@@ -33,16 +36,18 @@ class SensorParams(Params):
     noise_grain_px: float = 1.2
     lateral_px: float = 0.8
     edge_ratio: float = 0.03
-    edge_loss: float = 0.35
-    grazing_cosine: float = 0.2
-    speckle_loss: float = 0.002
+    edge_loss: float = 0.4
+    weak_return: float = 0.3
+    patch_px: int = 6
+    speckle_loss: float = 0.0002
+    border_px: int = 8
     min_range_m: float = 0.4
     max_range_m: float = 4.5
 
 
 def sense(
     depth_m: NDArray[np.float32],
-    cosine: NDArray[np.float32],
+    returned: NDArray[np.float32],
     rng: np.random.Generator,
     params: SensorParams | None = None,
 ) -> NDArray[np.uint16]:
@@ -52,8 +57,8 @@ def sense(
     ----------
     depth_m
         (H, W) true z in metres, 0 where there is nothing.
-    cosine
-        (H, W) of the angle between ray and surface normal.
+    returned
+        (H, W) share of the light that comes back, as ``View.returned`` has it.
     rng
         Makes the noise.
     params
@@ -62,29 +67,43 @@ def sense(
     Returns
     -------
     NDArray[np.uint16]
-        (H, W) millimetres; 0 where shadow, edge or chance lost the pixel, and 65535 where the
-        surface is out of range.
+        (H, W) millimetres; 0 where shadow, edge, weak return or chance lost the pixel, and 65535
+        where the surface is out of range.
     """
     p = SensorParams() if params is None else params
     depth = depth_m.astype(np.float32)
     edge = _edges(depth, p.edge_ratio)
     depth = _jitter(depth, edge, rng, p.lateral_px)
-    chance = rng.random(depth.shape, dtype=np.float32)
-    lost = chance < p.speckle_loss + p.edge_loss * edge
-    lost |= chance * p.grazing_cosine > cosine
+    chance = _patches(depth.shape, rng, p.patch_px)
+    lost = edge & (chance < p.edge_loss)
+    lost |= chance * p.weak_return > returned
     lost |= _shadow(depth, p.focal_px * p.baseline_m)
+    single = rng.integers(0, lost.size, round(p.speckle_loss * lost.size))
+    lost.reshape(-1)[single] = True
+    lost[:, lost.shape[1] - p.border_px :] = True
 
-    near, far = depth < p.min_range_m, depth > p.max_range_m
-    outside = near | far
+    outside = (depth < p.min_range_m) | (depth > p.max_range_m)
     safe = np.where(outside, np.float32(1.0), depth)
-    sigma = p.noise_floor_m + p.noise_growth * np.square(safe - 0.4)
+    steps = np.float32(p.focal_px * p.baseline_m / p.disparity_step_px)
+    total = p.noise_floor_m + p.noise_growth * np.square(safe - 0.4)
+    # The published deviation is that of readings: the steps' share of it comes by rounding.
+    rounding = np.square(safe) / steps / np.sqrt(12.0)
+    sigma = np.sqrt(np.maximum(np.square(total) - np.square(rounding), 0.0))
     noisy = safe + sigma * _grain(depth.shape, rng, p.noise_grain_px)
-    step = np.float32(p.focal_px * p.baseline_m / p.disparity_step_px)
-    measured = step / np.round(step / noisy)
-    out = np.round(1000.0 * measured).astype(np.uint16)
+    measured_m = steps / np.round(steps / noisy)
+    out: NDArray[np.uint16] = np.round(1000.0 * measured_m).astype(np.uint16)
     out[outside] = INVALID_DEPTH_MM
     out[lost & (depth > 0)] = 0
     return out
+
+
+def _patches(
+    shape: tuple[int, ...], rng: np.random.Generator, patch_px: int
+) -> NDArray[np.float32]:
+    """Return uniform chances that neighbours share."""
+    height, width = shape
+    coarse = rng.random((height // patch_px + 1, width // patch_px + 1), dtype=np.float32)
+    return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR))
 
 
 def _edges(depth: NDArray[np.float32], ratio: float) -> NDArray[np.bool_]:

@@ -50,7 +50,7 @@ def training_views(
             near = np.percentile(seen[seen > 0], 15) if (seen > 0).any() else 0.0
             if near > 0.6 and np.mean(seen > 0) > 0.5:
                 break
-        depth = sense(view.depth_m, view.cosine, rng, sensor)
+        depth = sense(view.depth_m, view.returned, rng, sensor)
         yield DepthFrame(i / FRAME_RATE_HZ, depth, scene.intrinsics)
 
 

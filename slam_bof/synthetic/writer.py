@@ -197,7 +197,7 @@ def _write_frame(
     sensor: SensorParams | None,
 ) -> None:
     rng = np.random.default_rng([seed, number])
-    depth = sense(view.depth_m, view.cosine, rng, sensor)
+    depth = sense(view.depth_m, view.returned, rng, sensor)
     color = scene.color(view)[..., ::-1]
     stem = f"frame-{number:06d}"
     for name, image in ((f"{stem}.depth.png", depth), (f"{stem}.color.png", color)):
