@@ -30,10 +30,10 @@ __all__ = [
     "resolve",
 ]
 
-PRESET_FOLDERS = (
-    Path(__file__).parent / "configs",  # in a wheel
-    Path(__file__).parent.parent / "configs",  # in a checkout
-)
+_PACKAGE = Path(__file__).parent
+PRESETS = _PACKAGE / "configs"  # in a wheel
+if not PRESETS.is_dir():
+    PRESETS = _PACKAGE.parent / "configs"  # in a checkout
 
 
 class PluginChoice(Params):
@@ -88,15 +88,14 @@ def load(path: Path | str) -> Config:
 
 def presets() -> list[str]:
     """Return the names of the configurations that come along."""
-    return sorted({file.stem for folder in PRESET_FOLDERS for file in folder.glob("*.yaml")})
+    return sorted(file.stem for file in PRESETS.glob("*.yaml"))
 
 
 def preset(name: str) -> Config:
     """Return a configuration that comes along, by name; ``ConfigError`` if there is none."""
-    for folder in PRESET_FOLDERS:
-        if name in presets() and (folder / f"{name}.yaml").is_file():
-            return load(folder / f"{name}.yaml")
-    raise ConfigError(f"no preset {name!r}; {suggest(name, presets())}")
+    if name not in presets():
+        raise ConfigError(f"no preset {name!r}; {suggest(name, presets())}")
+    return load(PRESETS / f"{name}.yaml")
 
 
 def resolve(name: str) -> Config:
