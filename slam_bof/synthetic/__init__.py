@@ -7,7 +7,7 @@ from slam_bof.synthetic.flat import make_flat, make_tour
 from slam_bof.synthetic.rooms import ROOM_KINDS, make_room
 from slam_bof.synthetic.scene import KINECT, Scene3D
 from slam_bof.synthetic.sensor import SensorParams, sense
-from slam_bof.synthetic.tour import spin, walk
+from slam_bof.synthetic.tour import Waypoint, camera_poses, spin, walk
 from slam_bof.synthetic.views import training_views
 from slam_bof.synthetic.writer import is_complete, write_flat, write_sequence
 
@@ -16,6 +16,8 @@ __all__ = [
     "ROOM_KINDS",
     "Scene3D",
     "SensorParams",
+    "Waypoint",
+    "camera_poses",
     "is_complete",
     "make_flat",
     "make_room",

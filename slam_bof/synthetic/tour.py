@@ -36,8 +36,9 @@ def camera_poses(
 ) -> Pose:
     """Compose ``T_world_camera`` (..., 4, 4) of positions (..., 3) and angles (...).
 
-    >>> camera_poses([0.0, 0.0, 1.5], 0.0, 0.0)[:3, 2]   # looks along +x
-    array([1., 0., 0.])
+    >>> looking_along_x = camera_poses([0.0, 0.0, 1.5], 0.0, 0.0)
+    >>> np.allclose(looking_along_x[:3, 2], (1.0, 0.0, 0.0))
+    True
     """
     position, yaw, pitch, roll = np.broadcast_arrays(
         np.asarray(position, dtype=np.float64),
