@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_bof.synthetic.furniture import DARK, PALES, STEEL, WHITE, WOODS, pick
+from slam_bof.synthetic.furniture.parts import DARK, PALES, STEEL, WHITE, WOODS, pick
 from slam_bof.synthetic.meshes import Color, Mesh, box, merge
 
 __all__ = ["WALL_THICKNESS_M", "Opening", "on_wall", "shell", "wall_length"]
