@@ -47,6 +47,7 @@ def train_model(
     n_words: int = 1024,
     seed: int = 0,
     trained_on: str,
+    scenes: SceneClassifier | None = None,
     on_frame: Callable[[int], None] | None = None,
 ) -> Model:
     """Train a model of frames; without labels of two classes it has no scene classifier.
@@ -57,11 +58,15 @@ def train_model(
         Read once, one by one.
     trained_on
         What the frames are, in words, for the model file.
+    scenes
+        The classifier to fit, by default a linear one with ``seed``.
     on_frame
         Called with the number of frames described so far, after each.
     """
     described = describe_frames(frames, params, on_frame=on_frame)
-    return fit_model(described, params, n_words=n_words, seed=seed, trained_on=trained_on)
+    return fit_model(
+        described, params, n_words=n_words, seed=seed, trained_on=trained_on, scenes=scenes
+    )
 
 
 def describe_frames(
