@@ -8,6 +8,7 @@ from typing import Any, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
+from scipy.special import expit
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.calibration import CalibratedClassifierCV
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
@@ -93,9 +94,13 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
 
     def predict_bag(self, bag: Bag) -> Scene:
         """Return the scene of one bag; of an empty one, what the machine says of nothing."""
-        row = np.zeros((1, self.n_features_in_))
-        row[0, bag.words] = np.sqrt(bag.weights)
-        probabilities = np.asarray(self.classifier_.predict_proba(row))[0]
+        check_is_fitted(self, "classifier_")
+        if self.kernel == "linear":
+            probabilities = self._linear_probabilities(bag)
+        else:
+            row = np.zeros((1, self.n_features_in_))
+            row[0, bag.words] = np.sqrt(bag.weights)
+            probabilities = np.asarray(self.classifier_.predict_proba(row))[0]
         best = int(probabilities.argmax())
         return Scene(
             label=str(self.classes_[best]),
@@ -114,6 +119,19 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
         if self.kernel == "linear":
             return LinearSVC(C=self.C, random_state=self.seed, max_iter=10_000)
         return SVC(C=self.C, kernel=self.kernel, random_state=self.seed)
+
+    def _linear_probabilities(self, bag: Bag) -> Array:
+        """Return what ``classifier_.predict_proba`` does, without its slow checks."""
+        (calibrated,) = self.classifier_.calibrated_classifiers_
+        machine = calibrated.estimator
+        margins = machine.coef_[:, bag.words] @ np.sqrt(bag.weights) + machine.intercept_
+        slopes = np.array([sigmoid.a_ for sigmoid in calibrated.calibrators])
+        offsets = np.array([sigmoid.b_ for sigmoid in calibrated.calibrators])
+        positive: Array = expit(-(slopes * margins + offsets))
+        if len(self.classes_) == 2:
+            return np.concatenate([1.0 - positive, positive])
+        total = positive.sum()
+        return positive / total if total > 0 else np.full_like(positive, 1 / len(positive))
 
     def _folds(self, y: NDArray[Any], groups: ArrayLike | None) -> list[Any]:
         """Return the (train, test) indices of the calibration folds."""

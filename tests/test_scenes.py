@@ -60,6 +60,15 @@ def test_one_bag_is_predicted_as_many(kernel):
     assert scene.probability == scene.probabilities.max()
 
 
+def test_one_bag_of_two_classes_is_predicted_as_many():
+    bags, labels, _ = rooms(0)
+    two = labels != "office"
+    scenes = SceneClassifier().fit(bags[two], labels[two])
+    scene = scenes.predict_bag(Bag(np.arange(N_WORDS, dtype=np.int32), bags[3].astype(np.float32)))
+    expected = scenes.predict_proba(bags[3:4].astype(np.float32))[0]
+    np.testing.assert_allclose(scene.probabilities, expected, atol=1e-6)
+
+
 def test_an_empty_bag_gets_probabilities_too():
     bags, labels, _ = rooms(0)
     scene = (
