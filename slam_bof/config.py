@@ -17,6 +17,7 @@ from slam_bof.loops import LoopParams
 from slam_bof.points import PointParams
 from slam_bof.types import Params
 from slam_bof.validation import describe_error, suggest
+from slam_bof.verification import VerificationParams
 
 __all__ = [
     "Config",
@@ -55,6 +56,7 @@ class Config(Params):
     keyframes: KeyframeParams = KeyframeParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
+    verification: VerificationParams = VerificationParams()
     cloud: PointParams = Field(
         PointParams(stride=4, max_range_m=4.0), description="the points that verification sees"
     )

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +18,9 @@ from slam_bof.keyframes import KeyframeSelector
 from slam_bof.loops import LoopDetector
 from slam_bof.model import Model
 from slam_bof.points import PointParams, points_camera
-from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry, Verifier
+from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry
 from slam_bof.timing import StageClock
+from slam_bof.trajectory import spread_correction
 from slam_bof.types import (
     Array,
     Candidate,
@@ -30,8 +31,9 @@ from slam_bof.types import (
     Step,
     Trajectory,
 )
+from slam_bof.verification import LoopVerification
 
-__all__ = ["LoopCloser", "MiniSlam", "SlamResult", "spread_correction"]
+__all__ = ["LoopCloser", "MiniSlam", "SlamResult"]
 
 N_OVERLAP_POINTS = 200
 
@@ -54,9 +56,8 @@ class LoopCloser:
         detector: LoopDetector,
         covisibility: CovisibilityParams,
         cloud: PointParams,
-        verifier: Verifier,
+        verification: LoopVerification,
         backend: Backend,
-        seed: int = 0,
         clock: StageClock | None = None,
     ) -> None:
         self.keyframes: list[Keyframe] = []
@@ -68,10 +69,8 @@ class LoopCloser:
         self._detector = detector
         self._covisibility = covisibility
         self._cloud = cloud
-        self._verifier = verifier
-        self._seed = seed
+        self._verification = verification
         self._clock = clock or StageClock()
-        self._clouds: list[Any] = []
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
         self._T_map_odom: Pose = np.eye(4)
@@ -93,9 +92,12 @@ class LoopCloser:
             detector=LoopDetector(config.loops, model.vocabulary.n_words),
             covisibility=config.covisibility,
             cloud=config.cloud,
-            verifier=registry.build("verifiers", config.verifier.name, config.verifier.options),
+            verification=LoopVerification(
+                registry.build("verifiers", config.verifier.name, config.verifier.options),
+                config.verification,
+                seed=config.seed,
+            ),
             backend=registry.build("backends", config.backend.name, config.backend.options),
-            seed=config.seed,
             clock=clock,
         )
 
@@ -137,10 +139,9 @@ class LoopCloser:
         self.backend.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud)
-            self._clouds.append(self._verifier.prepare(points))
             candidates += self._find_covisible(keyframe, points, frame)
-            judged = [self._verify(candidate) for candidate in candidates]
-        loops = tuple(loop for _, loop in judged if loop is not None)
+            self._verification.add(points)
+            candidates, loops = self._verification.verify(candidates, self.backend.poses())
         self.loops.extend(loops)
         with self._clock.stage("optimize"):
             for loop in loops:
@@ -148,7 +149,7 @@ class LoopCloser:
             self.backend.update()
             T_map_camera = self.backend.poses()[-1]
         self._T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)
-        return Step(keyframe, scene, loops, tuple(c for c, _ in judged), self._T_map_odom)
+        return Step(keyframe, scene, tuple(loops), tuple(candidates), self._T_map_odom)
 
     def _find_covisible(
         self, keyframe: Keyframe, points: Array, frame: DepthFrame
@@ -172,72 +173,6 @@ class LoopCloser:
             )
             for match_id in choose_covisible(overlaps, p)
         ]
-
-    def _verify(self, candidate: Candidate) -> tuple[Candidate, Loop | None]:
-        """Let geometry decide about a candidate that is still open."""
-        if candidate.decision:
-            return candidate, None
-        guess = None
-        if candidate.source == "proximity":
-            T_map_camera = self.backend.poses()
-            guess = se3.inverse(T_map_camera[candidate.match_id]) @ T_map_camera[-1]
-        verified = self._verifier.verify(
-            self._clouds[candidate.query_id],
-            self._clouds[candidate.match_id],
-            T_match_query=guess,
-            seed=self._seed,
-        )
-        judged = replace(
-            candidate,
-            overlap=verified.overlap,
-            rmse_m=verified.rmse_m,
-            decision="accepted" if verified.accepted else "rejected",
-            reason=verified.reason,
-        )
-        if not verified.accepted:
-            return judged, None
-        return judged, Loop(
-            candidate.query_id,
-            candidate.match_id,
-            verified.T_match_query,
-            verified.information,
-            candidate.kind,
-            candidate.source,
-        )
-
-
-def spread_correction(
-    T_odom_camera: Array, stamps_s: Array, keyframe_indices: Array, T_map_keyframes: Array
-) -> Array:
-    """Spread the keyframes' corrections smoothly over all frames.
-
-    Each frame is carried along from the keyframe before it and from the one after it by
-    odometry, and interpolated between the two by time; there is no lever arm, so a frame moves
-    no more than its keyframes do.
-
-    Parameters
-    ----------
-    T_odom_camera, stamps_s
-        (N, 4, 4) odometry poses and (N,) times of all frames.
-    keyframe_indices, T_map_keyframes
-        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0; the
-        first frame is a keyframe.
-
-    Returns
-    -------
-    Array
-        (N, 4, 4) T_map_camera.
-    """
-    frames = np.arange(len(T_odom_camera))
-    before = np.searchsorted(keyframe_indices, frames, side="right") - 1
-    after = np.minimum(before + 1, len(keyframe_indices) - 1)
-    T_map_odom = T_map_keyframes @ se3.inverse(T_odom_camera[keyframe_indices])
-    start_s, end_s = stamps_s[keyframe_indices][before], stamps_s[keyframe_indices][after]
-    span_s = np.where(after > before, end_s - start_s, 1.0)
-    fraction = np.where(after > before, (stamps_s - start_s) / span_s, 0.0)
-    return se3.interpolate(
-        T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -98,6 +98,40 @@ def read_kitti(path: Path, stamps_s: Array | None = None) -> Trajectory:
     return Trajectory(np.asarray(stamps_s, dtype=np.float64), poses)
 
 
+def spread_correction(
+    T_odom_camera: Array, stamps_s: Array, keyframe_indices: Array, T_map_keyframes: Array
+) -> Array:
+    """Spread the keyframes' corrections smoothly over all frames.
+
+    Each frame is carried along from the keyframe before it and from the one after it by
+    odometry, and interpolated between the two by time; there is no lever arm, so a frame moves
+    no more than its keyframes do.
+
+    Parameters
+    ----------
+    T_odom_camera, stamps_s
+        (N, 4, 4) odometry poses and (N,) times of all frames.
+    keyframe_indices, T_map_keyframes
+        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0; the
+        first frame is a keyframe.
+
+    Returns
+    -------
+    Array
+        (N, 4, 4) T_map_camera.
+    """
+    frames = np.arange(len(T_odom_camera))
+    before = np.searchsorted(keyframe_indices, frames, side="right") - 1
+    after = np.minimum(before + 1, len(keyframe_indices) - 1)
+    T_map_odom = T_map_keyframes @ se3.inverse(T_odom_camera[keyframe_indices])
+    start_s, end_s = stamps_s[keyframe_indices][before], stamps_s[keyframe_indices][after]
+    span_s = np.where(after > before, end_s - start_s, 1.0)
+    fraction = np.where(after > before, (stamps_s - start_s) / span_s, 0.0)
+    return se3.interpolate(
+        T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
+    )
+
+
 def _quaternions(poses: Array) -> Array:
     """Return (N, 4) quaternions; SciPy takes no empty stack of matrices."""
     return se3.to_quaternion(poses) if len(poses) else np.empty((0, 4))

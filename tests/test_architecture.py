@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native se3 timing trajectory ports
     points layers contours bof vocabulary index places
-    scenes keyframes loops covisibility model
+    scenes keyframes loops covisibility consistency verification model
     schema rows store queries
     registry config slam mapping
     evaluation metrics synthetic training

@@ -21,8 +21,8 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 class GtsamParams(Params):
     """Noise of the odometry per step between keyframes, and of an average loop."""
 
-    odometry_sigma_rad: float = Field(0.02, gt=0)
-    odometry_sigma_m: float = Field(0.02, gt=0)
+    odometry_sigma_rad: float = Field(0.05, gt=0)
+    odometry_sigma_m: float = Field(0.05, gt=0)
     loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
     cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
     n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")

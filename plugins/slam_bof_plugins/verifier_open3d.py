@@ -35,12 +35,12 @@ class Open3dParams(Params):
     max_iterations: int = Field(20, gt=0)
     feature_radius_m: float = Field(0.4, gt=0)
     ransac_iterations: int = Field(20000, gt=0)
-    min_overlap: float = Field(0.5, ge=0, le=1)
+    min_overlap: float = Field(0.45, ge=0, le=1)
     min_overlap_global: float = Field(0.6, ge=0, le=1, description="where no guess was given")
-    inlier_distance_m: float = Field(0.1, gt=0, description="of points that count as overlap")
+    inlier_distance_m: float = Field(0.06, gt=0, description="of what counts as overlap")
     max_rmse_m: float = Field(0.05, gt=0)
     min_stiffness: float = Field(
-        0.02, ge=0, description="least eigenvalue of the information per point"
+        0.002, ge=0, description="least eigenvalue of the information per point"
     )
 
 
@@ -76,14 +76,16 @@ class Open3dVerifier:
             return _rejected("too few points")
         min_overlap = p.min_overlap if T_match_query is not None else p.min_overlap_global
         guess = self._search(query, match, seed) if T_match_query is None else T_match_query
-        result = registration.registration_icp(
-            query.cloud,
-            match.cloud,
-            p.max_distance_m,
-            guess,
-            registration.TransformationEstimationPointToPlane(),
-            registration.ICPConvergenceCriteria(1e-4, 1e-4, p.max_iterations),
-        )
+        for max_distance_m in (p.max_distance_m, p.inlier_distance_m):
+            result = registration.registration_icp(
+                query.cloud,
+                match.cloud,
+                max_distance_m,
+                guess,
+                registration.TransformationEstimationPointToPlane(),
+                registration.ICPConvergenceCriteria(1e-4, 1e-4, p.max_iterations),
+            )
+            guess = result.transformation
         return self._judge(query, match, result, min_overlap)
 
     def _search(self, query: PreparedCloud, match: PreparedCloud, seed: int) -> Pose:
@@ -128,12 +130,11 @@ class Open3dVerifier:
         n_query = np.asarray(match.cloud.normals)[target] @ T_match_query[:3, :3]
         offset = se3.transform(T_match_query, p_query) - np.asarray(match.cloud.points)[target]
         residual = np.einsum("ij,ij->i", offset, np.asarray(match.cloud.normals)[target])
-        inlier = np.abs(residual) < p.inlier_distance_m
-        overlap = float(inlier.sum()) / len(points_query)
-        rmse_m = float(np.sqrt(np.mean(residual[inlier] ** 2))) if inlier.any() else np.inf
-        jacobian = np.hstack([np.cross(p_query, n_query), n_query])[inlier]
+        overlap = len(pairs) / len(points_query)
+        rmse_m = float(np.sqrt(np.mean(residual**2)))
+        jacobian = np.hstack([np.cross(p_query, n_query), n_query])
         information = jacobian.T @ jacobian
-        stiffness = float(np.linalg.eigvalsh(information)[0]) / max(len(jacobian), 1)
+        stiffness = float(np.linalg.eigvalsh(information)[0]) / len(pairs)
         if overlap < min_overlap:
             reason = f"overlap {overlap:.2f} below {min_overlap:g}"
         elif rmse_m > p.max_rmse_m:

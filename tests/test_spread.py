@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from slam_bof import se3
-from slam_bof.slam import spread_correction
+from slam_bof.trajectory import spread_correction
 
 
 def walk(n_frames):

@@ -1,0 +1,150 @@
+"""From candidates to loops: by geometry, by viewpoint, by agreement with other loops."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.consistency import ConsistencyGate, ConsistencyParams
+from slam_bof.ports import Verifier
+from slam_bof.types import Array, Candidate, Loop, Params, Pose, Verification
+
+__all__ = ["LoopVerification", "VerificationParams"]
+
+
+class VerificationParams(Params):
+    """What a loop needs beyond the verifier's word.
+
+    A wrong loop bends the whole map, a wrong edge to a neighbour only a little, so loops are
+    held to more. Layers along the optical axis change with the viewpoint, so where two bags are
+    alike the views are too.
+    """
+
+    min_overlap: float = Field(0.6, ge=0, le=1, description="of a loop's two clouds")
+    max_view_distance_m: float = Field(1.0, gt=0, description="between views with like bags")
+    max_view_angle_rad: float = Field(0.7, gt=0, description="between views with like bags")
+    slack_m: float = Field(0.5, ge=0, description="a loop may move the map by this, plus drift")
+    slack_rad: float = Field(0.3, ge=0, description="and turn it by this, plus drift")
+    drift_m_per_m: float = Field(0.1, ge=0, description="drift that odometry may have")
+    drift_rad_per_m: float = Field(0.05, ge=0, description="and its turn")
+    consistency: ConsistencyParams = ConsistencyParams()
+
+
+class LoopVerification:
+    """Keeps the keyframes' clouds and verifies candidates between them."""
+
+    def __init__(self, verifier: Verifier, params: VerificationParams, *, seed: int = 0) -> None:
+        self.params = params
+        self._verifier = verifier
+        self._gate = ConsistencyGate(params.consistency)
+        self._seed = seed
+        self._clouds: list[Any] = []
+
+    def add(self, points_camera: Array) -> None:
+        """Take the next keyframe's points (N, 3)."""
+        self._clouds.append(self._verifier.prepare(points_camera))
+
+    def verify(
+        self, candidates: Sequence[Candidate], T_map_camera: Array
+    ) -> tuple[list[Candidate], list[Loop]]:
+        """Judge the candidates of the newest keyframe that are still open.
+
+        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far; candidates by
+        proximity are aligned from there, those by bag from nothing.
+
+        Returns
+        -------
+        list of Candidate
+            The same candidates with figures, decision and reason. ``held`` is a loop that
+            waits for others to agree with it.
+        list of Loop
+            The edges to add now, among them loops of earlier keyframes held back so far.
+        """
+        judged: list[Candidate] = []
+        edges: list[Loop] = []
+        loops: list[Loop] = []
+        for candidate in candidates:
+            if candidate.decision:
+                judged.append(candidate)
+                continue
+            verified = self._align(candidate, T_map_camera)
+            reason = verified.reason or self._object(candidate, verified, T_map_camera)
+            decision = "rejected" if reason else "accepted"
+            if not reason:
+                loop = Loop(
+                    candidate.query_id,
+                    candidate.match_id,
+                    verified.T_match_query,
+                    verified.information,
+                    candidate.kind,
+                    candidate.source,
+                )
+                (loops if candidate.kind == "loop" else edges).append(loop)
+            judged.append(
+                replace(
+                    candidate,
+                    overlap=verified.overlap,
+                    rmse_m=verified.rmse_m,
+                    decision=decision,
+                    reason=reason,
+                )
+            )
+        admitted = self._gate.admit(loops, T_map_camera)
+        return _hold(judged, admitted), edges + admitted
+
+    def _align(self, candidate: Candidate, T_map_camera: Array) -> Verification:
+        query_id, match_id = candidate.query_id, candidate.match_id
+        guess = None
+        if candidate.source == "proximity":
+            guess = se3.inverse(T_map_camera[match_id]) @ T_map_camera[query_id]
+        return self._verifier.verify(
+            self._clouds[query_id], self._clouds[match_id], T_match_query=guess, seed=self._seed
+        )
+
+    def _object(self, candidate: Candidate, verified: Verification, T_map_camera: Array) -> str:
+        """Return why a well-aligned pair is no loop all the same, or nothing."""
+        p = self.params
+        if candidate.kind != "loop":
+            return ""
+        if verified.overlap < p.min_overlap:
+            return f"overlap {verified.overlap:.2f} below the {p.min_overlap:g} that a loop needs"
+        distance_m, angle_rad = _size(verified.T_match_query)
+        if candidate.source == "bag" and (
+            distance_m > p.max_view_distance_m or angle_rad > p.max_view_angle_rad
+        ):
+            return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
+        between = T_map_camera[candidate.match_id : candidate.query_id + 1]
+        path_m = float(np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1).sum())
+        moved_m, turned_rad = _size(
+            se3.inverse(verified.T_match_query) @ se3.inverse(between[0]) @ between[-1]
+        )
+        if (
+            moved_m > p.slack_m + p.drift_m_per_m * path_m
+            or turned_rad > p.slack_rad + p.drift_rad_per_m * path_m
+        ):
+            return (
+                f"would move the map by {moved_m:.2f} m and {turned_rad:.2f} rad, "
+                f"more than drift over {path_m:.1f} m explains"
+            )
+        return ""
+
+
+def _size(T: Pose) -> tuple[float, float]:
+    """Return how far, in metres, and by what angle, in radians, a transform moves."""
+    return float(np.linalg.norm(T[:3, 3])), float(se3.rotation_angle(T))
+
+
+def _hold(judged: list[Candidate], admitted: list[Loop]) -> list[Candidate]:
+    """Mark the loops that were verified but not admitted yet."""
+    pairs = {(loop.query_id, loop.match_id) for loop in admitted}
+    return [
+        replace(c, decision="held", reason="no loop of another keyframe agrees with it")
+        if c.decision == "accepted" and c.kind == "loop" and (c.query_id, c.match_id) not in pairs
+        else c
+        for c in judged
+    ]
