@@ -21,8 +21,8 @@ class ConsistencyParams(Params):
 
     n_required: int = Field(1, ge=0, description="loops of other keyframes that must agree")
     window: int = Field(8, gt=0, description="keyframes back that may still bear witness")
-    max_distance_m: float = Field(0.15, gt=0)
-    max_angle_rad: float = Field(0.09, gt=0)
+    max_distance_m: float = Field(0.1, gt=0)
+    max_angle_rad: float = Field(0.06, gt=0)
 
 
 class ConsistencyGate:

@@ -18,8 +18,9 @@ __all__ = ["CovisibilityParams", "choose_covisible", "view_overlap"]
 class CovisibilityParams(Params):
     """How many edges a keyframe gets, and what counts as seeing the same."""
 
-    max_edges: int = Field(8, ge=0, description="a keyframe; 0 turns proximity off")
+    max_edges: int = Field(12, ge=0, description="a keyframe; 0 turns proximity off")
     min_overlap: float = Field(0.35, gt=0, le=1, description="share of points in both views")
+    separation: int = Field(2, gt=0, description="keyframes from one choice to the next")
     max_range_m: float = Field(5.0, gt=0, description="how far a view reaches")
 
 
@@ -64,14 +65,18 @@ def view_overlap(
 
 
 def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:
-    """Choose up to ``max_edges`` of the views that overlap enough, spread evenly over time.
+    """Choose up to ``max_edges`` of the views, those that overlap most, but no two in a row.
 
-    The oldest and the newest are always among them: the one bounds drift, the other slip.
+    ``overlaps`` (K,) are in order of time. Two views close in time say much the same, so that
+    the next best one farther off is worth more.
 
-    >>> choose_covisible(np.array([0.9, 0.1, 0.5, 0.6, 0.7]), CovisibilityParams(max_edges=2))
-    [0, 4]
+    >>> choose_covisible(np.array([0.6, 0.1, 0.5, 0.7, 0.9]), CovisibilityParams(separation=2))
+    [0, 2, 4]
     """
-    eligible = np.flatnonzero(overlaps >= params.min_overlap)
-    n_chosen = min(params.max_edges, len(eligible))
-    chosen = np.linspace(0, len(eligible) - 1, n_chosen).round().astype(int)
-    return [int(eligible[i]) for i in np.unique(chosen)]
+    left = np.where(overlaps >= params.min_overlap, overlaps, 0.0)
+    chosen: list[int] = []
+    while len(chosen) < params.max_edges and left.any():
+        best = int(left.argmax())
+        chosen.append(best)
+        left[max(0, best - params.separation + 1) : best + params.separation] = 0.0
+    return sorted(chosen)

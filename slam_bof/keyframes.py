@@ -17,10 +17,10 @@ class KeyframeParams(Params):
     """Policy ``motion`` keeps a frame that moved enough; ``every`` the paper's k-th frame."""
 
     policy: Literal["motion", "every"] = "motion"
-    distance_m: float = Field(0.15, gt=0, description="motion: a frame this far from the last")
-    angle_rad: float = Field(0.25, gt=0, description="motion: or turned this much")
+    distance_m: float = Field(0.12, gt=0, description="motion: a frame this far from the last")
+    angle_rad: float = Field(0.2, gt=0, description="motion: or turned this much")
     max_gap: int = Field(
-        15, gt=0, description="motion: at most so many frames from one to the next"
+        10, gt=0, description="motion: at most so many frames from one to the next"
     )
     every: int = Field(10, gt=0, description="every: each k-th frame")
 

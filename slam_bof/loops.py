@@ -29,7 +29,7 @@ class LoopParams(Params):
     tc: int = Field(3, ge=0, description="keyframes that the time consistency check runs over")
     tc_required: int = Field(1, ge=0, description="of which so many must agree")
     max_index_difference: int = Field(3, ge=0, description="keyframes apart that still agree")
-    top_k: int = Field(5, gt=0, description="candidates a keyframe; 1 in the paper")
+    top_k: int = Field(3, gt=0, description="candidates a keyframe; 1 in the paper")
     min_age_s: float = Field(3.0, ge=0, description="younger keyframes are not loops")
     min_scene_agreement: float = Field(0.2, ge=0, le=1, description="below it labels contradict")
 

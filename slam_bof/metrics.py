@@ -82,6 +82,7 @@ def compute_metrics(
         "rpe_m": None,
         "loop_precision": None,
         "loop_recall": None,
+        "covisibility_precision": None,
         "scene_accuracy": None,
         "fps": n_frames / usage.wall_s,
         "cpu_s": usage.cpu_s,
@@ -110,6 +111,7 @@ def _against_groundtruth(
     ate = evaluation.ate(result.optimized, reference)
     keyframe_indices = [k.frame_index for k in closer.keyframes]
     loops = [loop for loop in closer.loops if loop.kind == "loop"]
+    edges = [loop for loop in closer.loops if loop.kind == "covisibility"]
     return {
         "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
         "ate_m": ate.rmse_m if ate else None,
@@ -117,6 +119,7 @@ def _against_groundtruth(
         "rpe_odometry_m": evaluation.rpe(result.odometry, reference),
         "rpe_m": evaluation.rpe(result.optimized, reference),
         "loop_precision": evaluation.loop_precision(loops, keyframe_indices, reference),
+        "covisibility_precision": evaluation.loop_precision(edges, keyframe_indices, reference),
         "loop_recall": evaluation.loop_recall(loops, keyframe_indices, reference),
     }
 

@@ -39,10 +39,9 @@ class RunResult:
 
 
 class Recorder:
-    """The observer of a run: saves each keyframe at once, keeps the audit trail, passes on."""
+    """The observer of a run: saves each keyframe at once, logs warnings, passes all on."""
 
     def __init__(self, store: MapStore, observer: Observer) -> None:
-        self.candidates: list[Candidate] = []
         self._store = store
         self._observer = observer
 
@@ -53,7 +52,6 @@ class Recorder:
     def on_step(self, frame_index: int, step: Step) -> None:
         """Save the keyframe, if the frame became one."""
         if step.keyframe is not None:
-            self.candidates.extend(step.candidates)
             self._store.add(step.keyframe, step.candidates, step.loops)
         self._observer.on_step(frame_index, step)
 
@@ -98,6 +96,7 @@ def run_sequence(
             used = Usage.now() - started
             T_map_camera = closer.backend.poses()
             store.set_map_poses(T_map_camera)
+            candidates = store.candidates()
         groundtruth = dataset.groundtruth()
         keyframe_frames = [int(result.indices[k.frame_index]) for k in closer.keyframes]
         scenes = dataset.scenes()
@@ -107,7 +106,7 @@ def run_sequence(
             sequence=dataset.sequence,
             result=result,
             closer=closer,
-            candidates=recorder.candidates,
+            candidates=candidates,
             groundtruth=groundtruth,
             true_scenes=true_scenes,
             usage=used,
@@ -118,7 +117,7 @@ def run_sequence(
         if groundtruth is not None:
             _write_trajectory(folder, "groundtruth", groundtruth)
         closer.backend.write_g2o(folder / "pose_graph.g2o")
-        _write_audit_trail(folder / "loops.csv", recorder.candidates, closer.keyframes)
+        _write_audit_trail(folder / "loops.csv", candidates, closer.keyframes)
         write_map(folder / "map.ply", dataset, keyframe_frames, T_map_camera)
         write_report(
             folder / "report.html",
@@ -129,7 +128,7 @@ def run_sequence(
                 groundtruth=groundtruth,
                 keyframes=closer.keyframes,
                 loops=closer.loops,
-                candidates=recorder.candidates,
+                candidates=candidates,
                 true_scenes=true_scenes,
             ),
         )

@@ -16,7 +16,8 @@ table           columns
                 covisibility); ``source`` (bag or proximity); ``tx ... qw``
                 (T_match_query); ``information`` float64 (6, 6), rotation first
 ``candidates``  the audit trail, every pair considered: ``id`` and the fields of
-                ``slam_bof.types.Candidate``, null where not measured
+                ``slam_bof.types.Candidate``, null where not measured; ``decision``
+                is ``accepted``, ``rejected`` or ``held`` (never agreed with)
 ``parameters``  ``key``, ``value``: configuration, seed, versions, data set ... and
                 ``classes``, the scene labels as a JSON list
 =============== ===================================================================
@@ -87,6 +88,7 @@ CREATE TABLE candidates (
     decision TEXT NOT NULL,
     reason TEXT NOT NULL
 );
+CREATE INDEX candidates_by_query ON candidates (query_id);
 CREATE VIEW keyframe_labels AS
     SELECT id, frame_index, stamp_s, scene, round(scene_probability, 3) AS probability,
         round(coalesce(map_tx, odom_tx), 3) AS x_m,

@@ -139,7 +139,8 @@ class LoopCloser:
         self.backend.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud)
-            candidates += self._find_covisible(keyframe, points, frame)
+            found = {c.match_id for c in candidates if not c.decision}
+            candidates += self._find_covisible(keyframe, points, frame, found)
             self._verification.add(points)
             candidates, loops = self._verification.verify(candidates, self.backend.poses())
         self.loops.extend(loops)
@@ -152,9 +153,9 @@ class LoopCloser:
         return Step(keyframe, scene, tuple(loops), tuple(candidates), self._T_map_odom)
 
     def _find_covisible(
-        self, keyframe: Keyframe, points: Array, frame: DepthFrame
+        self, keyframe: Keyframe, points: Array, frame: DepthFrame, found: set[int]
     ) -> list[Candidate]:
-        """Return the keyframes that, by the map so far, see what this one sees."""
+        """Return those keyframes, but for ``found``, that by the map see what this one sees."""
         p = self._covisibility
         *_, T_map_camera = T_map_cameras = self.backend.poses()
         every = max(1, len(points) // N_OVERLAP_POINTS)
@@ -172,6 +173,7 @@ class LoopCloser:
                 else "covisibility",
             )
             for match_id in choose_covisible(overlaps, p)
+            if match_id not in found
         ]
 
 

@@ -149,7 +149,14 @@ class MapStore:
                 self._keep_classes(keyframe.scene.classes)
             self._db.execute(INSERT_KEYFRAME, keyframe_row(keyframe, cloud))
             self._db.executemany(INSERT_CANDIDATE, map(candidate_row, candidates))
+            loops = list(loops)
             self._db.executemany(INSERT_LOOP, map(loop_row, loops))
+            # A loop that was held back until others agreed was a candidate of an earlier keyframe.
+            self._db.executemany(
+                "UPDATE candidates SET decision = 'accepted', reason = '' "
+                "WHERE query_id = ? AND match_id = ? AND source = ? AND decision = 'held'",
+                [(loop.query_id, loop.match_id, loop.source) for loop in loops],
+            )
 
     def set_map_poses(self, T_map_camera: Array) -> None:
         """Save the optimised poses (K, 4, 4) of all keyframes, in the order of their ids."""

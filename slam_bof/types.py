@@ -171,8 +171,8 @@ class Candidate:
     """One line of the audit trail: a pair of keyframes considered, and what became of it.
 
     ``source`` is ``bag`` (place recognition) or ``proximity`` (the map already says the two
-    are near); ``kind`` is as in ``Loop``. ``decision`` is ``accepted`` or ``rejected``, and
-    ``reason`` says why in words.
+    are near); ``kind`` is as in ``Loop``. ``decision`` is ``accepted``, ``rejected`` or
+    ``held`` (good, but waiting for others to agree), and ``reason`` says why in words.
     """
 
     query_id: int
@@ -194,8 +194,9 @@ class Candidate:
 class Loop:
     """A verified edge of the pose graph between two keyframes.
 
-    ``kind`` is ``loop`` where the keyframes are far apart in time, and ``covisibility``
-    where they are near neighbours that see the same surfaces.
+    ``kind`` is ``loop`` where the keyframes are far apart in time and were held to all that a
+    loop needs, and ``covisibility`` where they are neighbours, in time or in the map, that see
+    the same surfaces.
     """
 
     query_id: int

@@ -55,10 +55,12 @@ def test_empty_input_gives_no_overlap(n_others):
     assert not overlaps.any()
 
 
-def test_choice_is_spread_over_time_and_bounded():
-    overlaps = np.full(100, 0.9)
-    chosen = choose_covisible(overlaps, CovisibilityParams(max_edges=4))
-    assert chosen == [0, 33, 66, 99]
+def test_the_best_are_chosen_apart_from_each_other_and_bounded():
+    overlaps = np.array([0.5, 0.8, 0.7, 0.2, 0.6, 0.9, 0.95])
+    apart = CovisibilityParams(min_overlap=0.35, separation=2)
+    assert choose_covisible(overlaps, apart) == [1, 4, 6]
+    assert choose_covisible(overlaps, apart.model_copy(update={"max_edges": 2})) == [1, 6]
+    np.testing.assert_array_equal(overlaps[:2], [0.5, 0.8])  # the input is left alone
 
 
 def test_no_edges_when_turned_off_or_nothing_overlaps():

@@ -38,7 +38,7 @@ def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND
     verification = LoopVerification(verifier, params)
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]])
     for offset_m in (0.0, 0.0, shift_m):
-        verification.add(points + [offset_m, 0.0, 0.0])
+        verification.add(points + np.array([offset_m, 0.0, 0.0]))
     (judged,), loops = verification.verify([candidate], T_map_camera)
     return judged, loops
 

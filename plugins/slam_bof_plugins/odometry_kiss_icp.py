@@ -19,14 +19,14 @@ NO_DESKEW = np.array([])
 class KissIcpParams(Params):
     """What of KISS-ICP depends on the sensor."""
 
-    stride: int = Field(4, gt=0, description="every stride-th pixel in each direction")
-    voxel_size_m: float = Field(0.1, gt=0)
+    stride: int = Field(3, gt=0, description="every stride-th pixel in each direction")
+    voxel_size_m: float = Field(0.06, gt=0)
     min_range_m: float = Field(0.1, ge=0)
     max_range_m: float = Field(5.0, gt=0)
-    max_points_per_voxel: int = Field(3, gt=0)
+    max_points_per_voxel: int = Field(1, gt=0)
     initial_threshold_m: float = Field(0.1, gt=0)
     min_motion_m: float = Field(0.015, gt=0)
-    max_iterations: int = Field(50, gt=0)
+    max_iterations: int = Field(100, gt=0)
     convergence: float = Field(1e-4, gt=0)
     n_threads: int = Field(1, ge=0, description="0 for all; 1 is often faster")
     min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")

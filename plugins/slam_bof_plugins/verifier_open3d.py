@@ -35,7 +35,7 @@ class Open3dParams(Params):
     max_iterations: int = Field(20, gt=0)
     feature_radius_m: float = Field(0.4, gt=0)
     ransac_iterations: int = Field(20000, gt=0)
-    min_overlap: float = Field(0.45, ge=0, le=1)
+    min_overlap: float = Field(0.35, ge=0, le=1)
     min_overlap_global: float = Field(0.6, ge=0, le=1, description="where no guess was given")
     inlier_distance_m: float = Field(0.06, gt=0, description="of what counts as overlap")
     max_rmse_m: float = Field(0.05, gt=0)
@@ -56,6 +56,8 @@ class Open3dVerifier:
         """Thin the points (N, 3) to one a voxel and estimate normals towards the camera."""
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_camera))
         cloud = cloud.voxel_down_sample(self.params.voxel_size_m)
+        if cloud.is_empty():
+            return PreparedCloud(cloud)
         cloud.estimate_normals(
             o3d.geometry.KDTreeSearchParamHybrid(radius=self.params.normal_radius_m, max_nn=30)
         )

@@ -1,0 +1,148 @@
+"""The whole chain, end to end, on a short real-looking sequence: there and back in one room."""
+
+import csv
+import json
+import shutil
+import sqlite3
+
+import numpy as np
+import pytest
+
+from slam_bof import DepthFrame, LoopCloser, registry
+from slam_bof.config import override, preset
+from slam_bof.run import run_sequence
+from slam_bof.synthetic import KINECT, Scene3D, make_room, spin, write_sequence
+from slam_bof.trajectory import read_kitti, read_tum
+from slam_bof_plugins.odometry_kiss_icp import KissIcpOdometry
+
+FILES = {
+    "config.yaml", "loops.csv", "map.db", "map.ply", "metrics.json", "pose_graph.g2o",
+    "report.html", "run.log",
+    *(f"trajectory_{name}_{form}.txt"
+      for name in ("odometry", "optimized", "groundtruth") for form in ("tum", "kitti")),
+}  # fmt: skip
+QUICK_LOOPS = ["loops.min_age_s=1.0", "loops.normaliser_lag_s=0.3", "keyframes.max_gap=5"]
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory):
+    """A camera that turns by 60 degrees and back, 90 frames, in 7-Scenes layout."""
+    there = spin(2.5, 2.3, rate_deg_s=60.0, angle_deg=60.0, pitch=0.3)[5:50]
+    folder = tmp_path_factory.mktemp("there_and_back") / "room" / "seq-01"
+    scene = Scene3D(make_room("living_room", seed=3).mesh)
+    write_sequence(folder, scene, np.concatenate([there, there[::-1]]))
+    return folder
+
+
+def run(sequence, out, *assignments):
+    config = override(preset("indoor"), [*QUICK_LOOPS, *assignments])
+    return run_sequence(registry.open_dataset(sequence, "auto"), config, out)
+
+
+@pytest.fixture(scope="module")
+def finished(sequence, tmp_path_factory):
+    return run(sequence, tmp_path_factory.mktemp("runs"))
+
+
+def test_a_run_leaves_everything(finished):
+    assert {path.name for path in finished.folder.iterdir()} == FILES
+    assert (finished.folder.parent / "latest").resolve() == finished.folder.resolve()
+    assert json.loads((finished.folder / "metrics.json").read_text()) == finished.metrics
+
+
+def test_it_finds_true_loops_and_they_help(finished):
+    metrics = finished.metrics
+    assert metrics["n_frames"] == 90
+    assert metrics["n_loops"] > 0
+    assert metrics["loop_precision"] == 1.0
+    assert metrics["ate_m"] < metrics["ate_odometry_m"]
+    assert metrics["scene_accuracy"] is None
+
+
+def test_stage_times_add_up(finished):
+    stages = {k: v for k, v in finished.metrics.items() if k.startswith("stage_ms.")}
+    total = stages.pop("stage_ms.total")
+    assert all(value > 0 for value in stages.values())
+    assert 0.8 * total < sum(stages.values()) <= total
+
+
+def test_trajectories_have_every_frame_at_full_precision(finished):
+    for name in ("odometry", "optimized", "groundtruth"):
+        tum = read_tum(finished.folder / f"trajectory_{name}_tum.txt")
+        kitti = read_kitti(finished.folder / f"trajectory_{name}_kitti.txt")
+        np.testing.assert_allclose(tum.stamps_s, np.arange(90) / 30.0)
+        np.testing.assert_allclose(tum.poses, kitti.poses, atol=1e-12)
+
+
+def test_the_audit_trail_names_each_decision(finished):
+    with (finished.folder / "loops.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    accepted = [r for r in rows if r["decision"] == "accepted"]
+    graph = sqlite3.connect(finished.folder / "map.db")
+    assert len(accepted) == graph.execute("SELECT count(*) FROM loops").fetchone()[0]
+    assert all(r["reason"] for r in rows if r["decision"] != "accepted")
+    graph.close()
+
+
+def test_same_input_and_seed_same_bytes(finished, sequence, tmp_path):
+    again = run(sequence, tmp_path)
+    for name in FILES - {"metrics.json", "report.html", "run.log", "map.db"}:
+        assert (again.folder / name).read_bytes() == (finished.folder / name).read_bytes(), name
+
+
+def test_a_run_s_configuration_repeats_it(finished, sequence, tmp_path):
+    from slam_bof.config import load
+
+    config = load(finished.folder / "config.yaml")
+    again = run_sequence(registry.open_dataset(sequence, "auto"), config, tmp_path)
+    name = "trajectory_optimized_tum.txt"
+    assert (again.folder / name).read_bytes() == (finished.folder / name).read_bytes()
+
+
+def test_damaged_and_blind_frames_do_not_stop_a_run(sequence, tmp_path):
+    damaged = tmp_path / "room" / "seq-01"
+    shutil.copytree(sequence, damaged)
+    frames = sorted(damaged.glob("*.depth.png"))
+    frames[20].write_bytes(frames[20].read_bytes()[:5000])
+    blind = np.zeros((480, 640), np.uint16)
+    import cv2
+
+    for frame in frames[60:64]:
+        cv2.imwrite(str(frame), blind)
+    for pose in damaged.glob("*.pose.txt"):
+        pose.unlink()
+    result = run(damaged, tmp_path / "runs")
+    assert result.metrics["n_frames"] == 89
+    assert result.metrics["n_frames_skipped"] == 1
+    assert result.metrics["ate_m"] is None
+    assert "frame 20 skipped" in (result.folder / "run.log").read_text()
+    assert len(read_tum(result.folder / "trajectory_optimized_tum.txt")) == 89
+
+
+def test_two_calls_beside_an_odometry_of_one_s_own(sequence):
+    """What the README shows."""
+    dataset, odometry = registry.open_dataset(sequence, "auto"), KissIcpOdometry()
+    closer = LoopCloser.from_preset("indoor")
+    for index in range(30):
+        frame = dataset.frame(index)
+        T_odom_camera = odometry.process(frame)
+        step = closer.process(
+            DepthFrame(frame.stamp_s, frame.depth, frame.intrinsics), T_odom_camera
+        )
+        T_map_camera = step.T_map_odom @ T_odom_camera
+        assert step.scene.label in step.scene.classes
+    trajectory = closer.finish()
+    assert len(trajectory) == 30
+    np.testing.assert_allclose(trajectory.poses[-1], T_map_camera, atol=0.05)
+
+
+def test_stamps_must_grow():
+    frame = DepthFrame(1.0, np.zeros((480, 640), np.uint16), KINECT)
+    closer = LoopCloser.from_preset("indoor")
+    closer.process(frame, np.eye(4))
+    with pytest.raises(ValueError, match="stamps must grow"):
+        closer.process(frame, np.eye(4))
+
+
+def test_nothing_in_nothing_out():
+    assert len(LoopCloser.from_preset("indoor").finish()) == 0
