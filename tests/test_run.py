@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import sqlite3
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,21 +120,21 @@ def test_damaged_and_blind_frames_do_not_stop_a_run(sequence, tmp_path):
     assert len(read_tum(result.folder / "trajectory_optimized_tum.txt")) == 89
 
 
-def test_two_calls_beside_an_odometry_of_one_s_own(sequence):
-    """What the README shows."""
+def test_the_readme_s_two_calls(sequence):
+    """The README's example, to the letter, beside an odometry of one's own."""
+    readme = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+    example = readme.split("```python\n")[1].split("```")[0]
     dataset, odometry = registry.open_dataset(sequence, "auto"), KissIcpOdometry()
-    closer = LoopCloser.from_preset("indoor")
-    for index in range(30):
-        frame = dataset.frame(index)
-        T_odom_camera = odometry.process(frame)
-        step = closer.process(
-            DepthFrame(frame.stamp_s, frame.depth, frame.intrinsics), T_odom_camera
-        )
-        T_map_camera = step.T_map_odom @ T_odom_camera
-        assert step.scene.label in step.scene.classes
-    trajectory = closer.finish()
-    assert len(trajectory) == 30
-    np.testing.assert_allclose(trajectory.poses[-1], T_map_camera, atol=0.05)
+
+    def my_odometry():
+        for frame in map(dataset.frame, range(30)):
+            yield frame.stamp_s, frame.depth, odometry.process(frame)
+
+    names = {"my_odometry": my_odometry()}
+    exec(compile(example, "README.md", "exec"), names)
+    assert names["step"].scene.label in names["step"].scene.classes
+    assert len(names["trajectory"]) == 30
+    np.testing.assert_allclose(names["trajectory"].poses[-1], names["T_map_camera"], atol=0.05)
 
 
 def test_stamps_must_grow():
