@@ -22,7 +22,7 @@ from slam_bof.verification import VerificationParams
 __all__ = [
     "Config",
     "PluginChoice",
-    "check_plugins",
+    "complete",
     "dump",
     "load",
     "override",
@@ -133,16 +133,21 @@ def override(config: Config, assignments: Iterable[str]) -> Config:
     return _validate(values, "--set")
 
 
-def check_plugins(config: Config) -> None:
-    """Load the plug-ins that are named and check their options, which loading alone does not."""
-    for port, choice in (
-        ("odometry", config.odometry),
-        ("verifiers", config.verifier),
-        ("backends", config.backend),
-    ):
-        registry.check_options(port, choice.name, choice.options)
+def complete(config: Config) -> Config:
+    """Return the configuration with every option of its plug-ins written out.
+
+    Loads the plug-ins and checks their options, which reading a file alone does not; raises as
+    ``registry.check_options``.
+    """
+    choices = {}
+    for key, port in (("odometry", "odometry"), ("verifier", "verifiers"), ("backend", "backends")):
+        choice: PluginChoice = getattr(config, key)
+        params = registry.check_options(port, choice.name, choice.options)
+        options = params.model_dump(mode="json") if params else {}
+        choices[key] = PluginChoice(name=choice.name, options=options)
     if config.dataset != "auto":
         registry.load("datasets", config.dataset)
+    return config.model_copy(update=choices)
 
 
 def _validate(values: Any, where: str) -> Config:

@@ -79,6 +79,7 @@ def run_sequence(
         Whatever else the user can mend: the model, a plug-in, the data set.
     """
     clock = StageClock()
+    config = configs.complete(config)
     odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
     closer = LoopCloser.from_config(config, clock=clock)
     folder = _make_folder(out)

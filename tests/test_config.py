@@ -14,7 +14,7 @@ from slam_bof.errors import ConfigError, PluginError
 @pytest.mark.parametrize("name", config.presets())
 def test_presets_load_and_survive_a_round_trip(name: str, tmp_path: Path) -> None:
     loaded = config.preset(name)
-    config.check_plugins(loaded)
+    config.complete(loaded)
     file = tmp_path / "config.yaml"
     file.write_text(config.dump(loaded))
     assert config.load(file) == loaded
@@ -122,12 +122,12 @@ def test_override_explains_mistakes(assignment: str, message: str) -> None:
     assert message in str(caught.value)
 
 
-def test_check_plugins_looks_into_options() -> None:
+def test_complete_looks_into_options() -> None:
     wrong = config.override(Config(), ["backend.options.cauchi=2"])
     with pytest.raises(ConfigError, match=r"'gtsam': unknown key 'cauchi'; did you mean 'cauchy'"):
-        config.check_plugins(wrong)
+        config.complete(wrong)
     with pytest.raises(PluginError, match="no datasets plug-in 'kitti'"):
-        config.check_plugins(config.override(Config(), ["dataset=kitti"]))
+        config.complete(config.override(Config(), ["dataset=kitti"]))
 
 
 def test_configurations_cannot_be_changed() -> None:

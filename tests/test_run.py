@@ -147,3 +147,10 @@ def test_stamps_must_grow():
 
 def test_nothing_in_nothing_out():
     assert len(LoopCloser.from_preset("indoor").finish()) == 0
+
+
+def test_the_saved_configuration_holds_every_option_of_every_plugin(finished):
+    saved = (finished.folder / "config.yaml").read_text()
+    assert "max_points_per_voxel:" in saved
+    assert "cauchy:" in saved
+    assert "inlier_distance_m:" in saved

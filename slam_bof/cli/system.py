@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -52,9 +51,7 @@ def config(
     from slam_bof import config as configs
     from slam_bof.cli.console import print_json
 
-    chosen = configs.override(configs.resolve(name), assignments or [])
-    if Path(name).is_file() or assignments:
-        configs.check_plugins(chosen)
+    chosen = configs.complete(configs.override(configs.resolve(name), assignments or []))
     if as_json:
         print_json(chosen.model_dump(mode="json"))
     else:
