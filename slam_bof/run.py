@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import logging
 from collections.abc import Iterator, Sequence
@@ -142,13 +143,11 @@ def _make_folder(out: Path) -> Path:
     name = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     with _naming(out):
         out.mkdir(parents=True, exist_ok=True)
-        for attempt in range(100):
+        for attempt in itertools.count():
             folder = out / (f"{name}_{attempt}" if attempt else name)
-            try:
-                folder.mkdir()
-            except FileExistsError:
-                continue
-            break
+            if not folder.exists():
+                break
+        folder.mkdir()
         link = out / ".latest"
         link.unlink(missing_ok=True)
         link.symlink_to(folder.name, target_is_directory=True)
