@@ -1,6 +1,8 @@
-"""Contours to BOF descriptors: Boundary Of Figure, radii from the centroid (paper, section 2)."""
+"""Contours to BOF descriptors: Boundary Object Function, radii from the centroid (section 2)."""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,11 +12,27 @@ from slam_bof.types import Array, Contours, Params
 
 __all__ = ["BofParams", "describe"]
 
+Complex = NDArray[np.complex128]
+
 
 class BofParams(Params):
-    """How finely a contour is sampled."""
+    """How a contour is sampled, and where its descriptor begins.
+
+    The paper leaves both open. Beyond it, ``farthest`` begins at the largest radius, and
+    ``fourier`` keeps the magnitudes of the radii's spectrum only, which are the same wherever
+    the contour begins: both forget how the shape is turned.
+    """
 
     n_points: int = Field(180, gt=2, description="n: points that a contour is quantised into")
+    sampling: Literal["arc", "angle"] = Field(
+        "arc", description="equal steps along the contour, or of the angle seen from its centroid"
+    )
+    start: Literal["found", "farthest", "fourier"] = "found"
+
+    @property
+    def n_values(self) -> int:
+        """Length of a descriptor."""
+        return self.n_points // 2 + 1 if self.start == "fourier" else self.n_points
 
 
 def describe(contours: Contours, params: BofParams) -> NDArray[np.float32]:
@@ -23,16 +41,18 @@ def describe(contours: Contours, params: BofParams) -> NDArray[np.float32]:
     The contour, a closed polygon, is quantised into ``n_points`` points at equal arc length,
     beginning at its first point as found, and followed counter-clockwise as the image is seen
     (x right, y down). The descriptor holds the points' distances to the centroid, divided by
-    the largest.
+    the largest. Sampled by angle, the k-th point is the farthest one on the ray that leaves the
+    centroid at 2 pi k / n, counter-clockwise from the right, 0 where there is none.
 
     The centroid is that of the enclosed area (by moments); a contour that encloses none (a
-    line there and back, a single pixel) takes the mean of its points. The centroid may lie
+    line there and back, a single pixel) takes that of the line it draws. The centroid may lie
     outside the contour. A contour that is a single point has descriptor zero.
 
     Returns
     -------
     NDArray[np.float32]
-        (C, n_points) in [0, 1], the largest of each row 1.
+        (C, n_values) in [0, 1]. Radii: the largest of each row is 1. Fourier magnitudes:
+        ``|F_k| / n`` of those radii.
 
     Examples
     --------
@@ -41,55 +61,106 @@ def describe(contours: Contours, params: BofParams) -> NDArray[np.float32]:
     >>> describe(contours, BofParams(n_points=8))[0, :4].astype(float).round(3).tolist()
     [1.0, 0.707, 1.0, 0.707]
     """
-    n = params.n_points
     if len(contours) == 0:
-        return np.empty((0, n), np.float32)
-    xy, starts = _concatenate_closed(contours)
-    ends = np.append(starts[1:], xy.shape[1])  # one past the repeated first point
-    centroids, clockwise = _moments(xy, starts)
+        return np.empty((0, params.n_values), np.float32)
+    closed, starts, ends = _close(contours)
+    step = np.abs(np.diff(closed, append=0.0))
+    step[ends] = 0.0
+    centroids, clockwise = _centroids(closed, starts, ends, step)
+    if params.sampling == "arc":
+        sampled = _sample_by_arc(closed, starts, ends, step, clockwise, params.n_points)
+        radii = np.abs(sampled - centroids[:, None])
+    else:
+        radii = np.stack(
+            [
+                _radii_by_angle(closed[start : end + 1] - centroid, params.n_points)
+                for start, end, centroid in zip(starts, ends, centroids, strict=True)
+            ]
+        )
+    largest = radii.max(axis=1, keepdims=True)
+    radii /= np.where(largest > 0, largest, 1.0)
+    if params.start == "farthest":
+        first = radii.argmax(axis=1)[:, None]
+        shifted = (first + np.arange(params.n_points)) % params.n_points
+        radii = np.take_along_axis(radii, shifted, axis=1)
+    elif params.start == "fourier":
+        radii = np.abs(np.fft.rfft(radii, axis=1)) / params.n_points
+    return radii.astype(np.float32)
+
+
+def _close(contours: Contours) -> tuple[Complex, NDArray[np.intp], NDArray[np.intp]]:
+    """Return all points x + iy (S,), each contour's first repeated at its end.
+
+    Also the places of each contour's first point and of its repetition, (C,) both.
+    """
+    counts = np.array([len(points) for points in contours.points_px])
+    if counts.min() == 0:
+        raise ValueError("a contour must have at least one point, got one with none")
+    starts = np.cumsum(counts) - counts
+    points = np.concatenate(contours.points_px).astype(np.float64)
+    open_: Complex = points.view(np.complex128)[:, 0]
+    closed = np.insert(open_, starts + counts, open_[starts])
+    starts = starts + np.arange(len(counts))
+    return closed, starts, starts + counts
+
+
+def _centroids(
+    closed: Complex, starts: NDArray[np.intp], ends: NDArray[np.intp], step: Array
+) -> tuple[Complex, NDArray[np.bool_]]:
+    """Return the centroids (C,), and which contours run clockwise (C,), by Green's theorem."""
+    # Relative to each contour's first point, which keeps small far-off areas precise.
+    local = closed - np.repeat(closed[starts], ends - starts + 1)
+    following = np.append(local[1:], 0.0)
+    cross = local.real * following.imag - local.imag * following.real
+    cross[ends] = 0.0  # from the end of one contour to the start of the next
+    pair = local + following
+    double_area = np.add.reduceat(cross, starts)
+    centroids = np.add.reduceat(pair * cross, starts)
+    flat = double_area == 0.0
+    centroids /= np.where(flat, 1.0, 3.0 * double_area)
+    if flat.any():
+        length = np.add.reduceat(step, starts)
+        middle = np.add.reduceat(0.5 * pair * step, starts) / np.where(length > 0, length, 1.0)
+        centroids = np.where(flat, middle, centroids)
+    return closed[starts] + centroids, double_area > 0.0
+
+
+def _sample_by_arc(
+    closed: Complex,
+    starts: NDArray[np.intp],
+    ends: NDArray[np.intp],
+    step: Array,
+    clockwise: NDArray[np.bool_],
+    n: int,
+) -> Complex:
+    """Return n points of each contour (C, n) at equal arc length, counter-clockwise."""
     # Arc length along all contours one after the other, one pixel of gap between two, so that
     # one interpolation serves them all.
-    step = np.hypot(*np.diff(xy))
-    step[ends[:-1] - 1] = 1.0
-    arc = np.concatenate([[0.0], np.cumsum(step)])
-    begin = arc[starts]
-    share = np.arange(n) / n
-    along = begin[:, None] + share * (arc[ends - 1] - begin)[:, None]
+    gapped = step.copy()
+    gapped[ends] = 1.0
+    arc = np.cumsum(gapped) - gapped
+    begin, length = arc[starts], arc[ends] - arc[starts]
+    along = begin[:, None] + np.arange(n) / n * length[:, None]
     # Walked backwards from the same first point where the contour was found clockwise.
     along[clockwise, 1:] = along[clockwise, :0:-1]
-    x = np.interp(along, arc, xy[0])
-    y = np.interp(along, arc, xy[1])
-    radii = np.hypot(x - centroids[0][:, None], y - centroids[1][:, None])
-    largest = radii.max(axis=1, keepdims=True)
-    descriptors = np.zeros((len(contours), n), np.float32)
-    np.divide(radii, largest, out=descriptors, where=largest > 0, casting="same_kind")
-    return descriptors
+    sampled: Complex = np.interp(along, arc, closed)
+    return sampled
 
 
-def _concatenate_closed(contours: Contours) -> tuple[Array, NDArray[np.intp]]:
-    """Return all points (2, S), each contour's first repeated at its end, and the starts (C,)."""
-    lengths = np.array([len(points) for points in contours.points_px])
-    if lengths.min() == 0:
-        raise ValueError("a contour must have at least one point, got one with none")
-    closed = [part for points in contours.points_px for part in (points, points[:1])]
-    xy = np.concatenate(closed).T.astype(np.float64)
-    return xy, np.concatenate([[0], np.cumsum(lengths + 1)[:-1]])
+def _radii_by_angle(closed: Complex, n: int, block: int = 512) -> Array:
+    """Return the distance to the farthest crossing with each of n rays from the origin.
 
-
-def _moments(xy: Array, starts: NDArray[np.intp]) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the centroids (2, C), and which contours run clockwise (C,), by Green's theorem."""
-    counts = np.diff(np.append(starts, xy.shape[1]))
-    # Relative to each contour's first point, which keeps small far-off areas precise.
-    local = xy - np.repeat(xy[:, starts], counts, axis=1)
-    x, y = local
-    cross = np.zeros(len(x))
-    cross[:-1] = x[:-1] * y[1:] - x[1:] * y[:-1]
-    sums = local.copy()
-    sums[:, :-1] += local[:, 1:]
-    cross[starts[1:] - 1] = 0.0  # from the end of one contour to the start of the next
-    double_area = np.add.reduceat(cross, starts)
-    first_moments = np.add.reduceat(sums * cross, starts, axis=1)
-    mean = np.add.reduceat(local, starts, axis=1) / np.maximum(counts - 1, 1)
-    flat = double_area == 0.0
-    centroids = np.where(flat, mean, first_moments / np.where(flat, 1.0, 3.0 * double_area))
-    return xy[:, starts] + centroids, double_area > 0.0
+    ``closed`` are the corners (M,) of a closed polygon relative to its centroid.
+    """
+    radii = np.zeros(n)
+    rays = np.exp(-2j * np.pi * np.arange(n) / n)[:, None]  # y points down
+    for begin in range(0, len(closed) - 1, block):
+        # Turned so that the ray is the positive real axis, which an edge crosses where its
+        # ends lie on different sides.
+        corners = closed[begin : begin + block + 1] * rays.conj()
+        a, b = corners[:, :-1], corners[:, 1:]
+        crosses = (a.imag < 0) != (b.imag < 0)
+        rise = np.where(crosses, b.imag - a.imag, 1.0)
+        where = np.where(crosses, a.real - a.imag * (b.real - a.real) / rise, 0.0)
+        radii = np.maximum(radii, where.max(axis=1, initial=0.0))
+    return radii

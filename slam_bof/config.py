@@ -57,6 +57,11 @@ class Config(Params):
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()
+    gravity_odom: tuple[float, float, float] = Field(
+        (0.0, 1.0, 0.0),
+        description="down in the odometry's frame, for a model with layers along gravity; "
+        "by default the first camera is taken as level",
+    )
     cloud: PointParams = Field(
         PointParams(stride=4, max_range_m=4.0), description="the points that verification sees"
     )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
-from slam_bof.types import Params
+from slam_bof.types import Array, Params
 
 __all__ = ["LayerParams", "layer_images", "layer_index"]
 
@@ -21,22 +21,42 @@ class LayerParams(Params):
     The paper rounds to the nearest index, which makes ``n_layers + 1`` layers with ends of
     half a width (``rounding="nearest"``); the default takes the floor, with the last layer
     closed, so that exactly ``n_layers`` equal layers hold every point once.
+
+    Beyond the paper, ``thickness_m`` and ``pixel_m`` fix the scale, so that a thing looks the
+    same whatever else the frame shows: layer l then holds the heights from
+    ``start_m + l thickness_m``, and the image's centre is the camera. What lies outside is
+    not drawn.
     """
 
-    n_layers: int = Field(20, gt=0, le=65535, description="L: equal layers along the axis")
+    n_layers: int = Field(20, gt=0, le=65534, description="L: layers along the axis")
     resolution_px: int = Field(300, gt=1, description="R: side of a layer's image")
     rounding: Literal["floor", "nearest"] = "floor"
-    axis: tuple[float, float, float] = Field(
-        OPTICAL_AXIS, description="direction in the camera frame that the layers follow"
+    axis: tuple[float, float, float] | Literal["gravity"] = Field(
+        OPTICAL_AXIS, description="v: direction in the camera frame that the layers follow"
+    )
+    plane: Literal["camera", "axis"] = Field(
+        "camera", description="drawn on the plane across the camera's optical axis, or across v"
+    )
+    thickness_m: float | None = Field(
+        None, gt=0, description="of a layer; none: the frame's extent in n_layers parts"
+    )
+    start_m: float = Field(0.0, description="where layers of fixed thickness begin, along v")
+    pixel_m: float | None = Field(
+        None, gt=0, description="side of a pixel; none: the layer's extent fills the image"
     )
 
     @field_validator("axis")
     @classmethod
-    def _check_axis(cls, axis: tuple[float, float, float]) -> tuple[float, float, float]:
-        length = float(np.linalg.norm(axis))
-        if not np.isfinite(length) or length == 0.0:
-            raise ValueError(f"axis must be a direction, got {axis}")
+    def _check_axis(cls, axis: Any) -> Any:
+        if axis != "gravity":
+            _unit(np.asarray(axis))
         return axis
+
+    @model_validator(mode="after")
+    def _check_rounding(self) -> Self:
+        if self.rounding == "nearest" and self.thickness_m is not None:
+            raise ValueError("rounding 'nearest' is for layers without thickness_m")
+        return self
 
     @property
     def n_images(self) -> int:
@@ -44,22 +64,26 @@ class LayerParams(Params):
         return self.n_layers + (self.rounding == "nearest")
 
 
-def layer_index(points: NDArray[Any], params: LayerParams) -> NDArray[np.intp]:
+def layer_index(
+    points: NDArray[Any], params: LayerParams, *, gravity_camera: Array | None = None
+) -> NDArray[np.intp]:
     """Return the layer of each point (paper, 3.2, first equation).
 
     With ``h = axis . p``, ``m = min h``, ``delta = (max h - m) / L`` the index is
     ``floor((h - m) / delta)``, at most ``L - 1``. Points without extent along the axis are
-    all in layer 0.
+    all in layer 0. With ``thickness_m`` it is ``floor((h - start_m) / thickness_m)``.
 
     Parameters
     ----------
     points
         (N, 3) float32 or float64 ``points_camera``, in metres.
+    gravity_camera
+        (3,), the direction down in the camera frame, for ``axis="gravity"``.
 
     Returns
     -------
     NDArray[np.intp]
-        (N,) in ``0 .. params.n_images - 1``.
+        (N,) in ``0 .. params.n_images - 1``; -1 where no layer of fixed thickness is.
 
     Examples
     --------
@@ -69,43 +93,68 @@ def layer_index(points: NDArray[Any], params: LayerParams) -> NDArray[np.intp]:
     [0, 0, 1, 1]
     """
     _check_points(points)
-    return _layer_index(points, params).astype(np.intp)
+    _, _, height = _coordinates(points, params, gravity_camera)
+    index = _layer_index(height, params).astype(np.intp)
+    return np.where(index < params.n_images, index, -1)
 
 
-def layer_images(points: NDArray[Any], params: LayerParams) -> NDArray[np.uint8]:
+def layer_images(
+    points: NDArray[Any],
+    params: LayerParams,
+    *,
+    gravity_camera: Array | None = None,
+    margin_px: int = 0,
+) -> NDArray[np.uint8]:
     """Draw each layer's points as a binary image (paper, 3.2, second equation).
 
     The points are projected on the plane perpendicular to the camera's roll axis, (x, y).
     With ``delta_x = (x_max - x_min) / (R - 1)`` of the layer, likewise ``delta_y``, pixel
     ``(round((x - x_min) / delta_x), round((y - y_min) / delta_y))`` is 1. A layer without
-    extent in x is one column, without extent in y one row, and without points empty.
+    extent in x is one column, without extent in y one row, and without points empty. With
+    ``pixel_m`` both deltas are that, and the camera is in the middle of the image.
 
     Parameters
     ----------
     points
-        (N, 3) float32 or float64 ``points_camera``, in metres.
+        (N, 3) float32 or float64 ``points_camera``, in metres; quickest with contiguous columns.
+    gravity_camera
+        (3,), the direction down in the camera frame, for ``axis="gravity"``.
+    margin_px
+        Empty pixels around each image, which ``find_contours`` needs for its closing.
 
     Returns
     -------
     NDArray[np.uint8]
-        (n_images, R, R), rows y, columns x, 0 or 1.
+        (n_images, R + 2 margin, R + 2 margin), rows y, columns x, 0 or 1.
+
+    Raises
+    ------
+    ValueError
+        If the points are not (N, 3), or ``axis="gravity"`` has no ``gravity_camera``.
     """
     _check_points(points)
-    size = params.resolution_px
-    images = np.zeros((params.n_images, size, size), np.uint8)
-    if len(points) == 0:
-        return images
-    index = _layer_index(points, params)
-    # Sorted by layer, each layer is one run; 16-bit keys sort by radix, in linear time.
+    side = params.resolution_px + 2 * margin_px
+    images = np.zeros((params.n_images, side, side), np.uint8)
+    x, y, height = _coordinates(points, params, gravity_camera)
+    index = _layer_index(height, params)
+    # Sorted by layer, each layer is one run; keys of 8 and 16 bits sort by radix, in linear time.
     order = np.argsort(index, kind="stable")
-    counts = np.bincount(index, minlength=params.n_images)
+    bounds = np.searchsorted(index, np.arange(params.n_images + 1, dtype=index.dtype), sorter=order)
+    counts = np.diff(bounds)
     layers = np.flatnonzero(counts)
-    counts = counts[layers]
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    columns = _pixels(points[:, 0][order], starts, counts, size)
-    rows = _pixels(points[:, 1][order], starts, counts, size)
-    pixels = rows * size + columns + np.repeat(layers.astype(np.int32) * (size * size), counts)
-    images.reshape(-1)[pixels] = 1
+    if len(layers) == 0:
+        return images
+    order, counts = order[: bounds[-1]], counts[layers]
+    columns = _pixels(x.take(order), counts, params)
+    rows = _pixels(y.take(order), counts, params)
+    first = (layers * side + margin_px) * side + margin_px
+    pixels = rows * np.int32(side)
+    pixels += columns
+    pixels += np.repeat(first.astype(np.int32), counts)
+    if params.pixel_m is not None:
+        size = np.uint32(params.resolution_px)  # which no negative number is below
+        pixels = pixels[(columns.view(np.uint32) < size) & (rows.view(np.uint32) < size)]
+    images.reshape(-1)[pixels.astype(np.intp)] = 1
     return images
 
 
@@ -114,40 +163,87 @@ def _check_points(points: NDArray[Any]) -> None:
         raise ValueError(f"points must be (N, 3), got {points.shape}")
 
 
-def _layer_index(points: NDArray[Any], params: LayerParams) -> NDArray[np.uint16]:
-    if len(points) == 0:
-        return np.zeros(0, np.uint16)
-    height = _heights(points, params.axis)
-    lowest, highest = height.min(), height.max()
-    delta = (highest - lowest) / height.dtype.type(params.n_layers)
+def _coordinates(
+    points: NDArray[Any], params: LayerParams, gravity_camera: Array | None
+) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Return x and y on the plane that is drawn, and the height along the axis."""
+    x, y, z = points.T
+    if params.axis == OPTICAL_AXIS:
+        return x, y, z
+    if params.axis != "gravity":
+        unit = _unit(np.asarray(params.axis))
+    elif gravity_camera is None:
+        raise ValueError("layers along gravity need gravity_camera, got none")
+    else:
+        unit = _unit(np.asarray(gravity_camera))
+    height = points @ unit.astype(points.dtype)
+    if params.plane == "axis":
+        x, y = _across(unit).astype(points.dtype) @ points.T
+    return x, y, height
+
+
+def _unit(axis: Array) -> Array:
+    length = float(np.linalg.norm(axis))
+    if axis.shape != (3,) or not np.isfinite(length) or length == 0.0:
+        raise ValueError(f"axis must be a direction, got {tuple(axis.tolist())}")
+    unit: Array = axis / length
+    return unit
+
+
+def _across(unit: Array) -> Array:
+    """Return two directions (2, 3) across an axis; x and y for the optical axis.
+
+    The rotation that takes the optical axis to the given one by the shortest way takes x and y
+    along; for the axis opposite, which has no shortest way, it is half a turn about x.
+    """
+    a, b, c = unit
+    if c <= -1.0 + 1e-9:
+        return np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    k = 1.0 / (1.0 + c)
+    return np.array([[1.0 - a * a * k, -a * b * k, -a], [-a * b * k, 1.0 - b * b * k, -b]])
+
+
+def _layer_index(height: NDArray[Any], params: LayerParams) -> NDArray[Any]:
+    """Return the layer of each height, ``n_images`` for those in none; 8 bits, 16 if need be."""
+    dtype = height.dtype.type
+    index_type = np.uint8 if params.n_images < 255 else np.uint16
+    last = params.n_images - 1
+    if params.thickness_m is None:
+        lowest = height.min(initial=np.inf)
+        delta = (height.max(initial=-np.inf) - lowest) / dtype(params.n_layers)
+    else:
+        lowest, delta = dtype(params.start_m), dtype(params.thickness_m)
+        last += 1
     if not delta > 0:
-        return np.zeros(len(points), np.uint16)
-    scaled = (height - lowest) / delta
+        return np.zeros_like(height, index_type)
+    scaled = height - lowest
+    scaled /= delta
+    if params.thickness_m is not None:
+        scaled[scaled < 0] = last
     if params.rounding == "nearest":
-        scaled += height.dtype.type(0.5)
+        scaled += dtype(0.5)
     # Truncation is floor here, as nothing is negative.
-    index: NDArray[np.uint16] = scaled.astype(np.uint16)
-    return np.minimum(index, np.uint16(params.n_images - 1))
-
-
-def _heights(points: NDArray[Any], axis: tuple[float, float, float]) -> NDArray[Any]:
-    """Return ``axis . p`` of every point, in the points' own precision."""
-    if axis == OPTICAL_AXIS:
-        return np.ascontiguousarray(points[:, 2])
-    unit = np.asarray(axis) / np.linalg.norm(axis)
-    heights: NDArray[Any] = points @ unit.astype(points.dtype)
-    return heights
+    return np.asarray(np.clip(scaled, 0, last, out=scaled), index_type)
 
 
 def _pixels(
-    values: NDArray[Any], starts: NDArray[np.intp], counts: NDArray[np.intp], size: int
+    values: NDArray[Any], counts: NDArray[np.intp], params: LayerParams
 ) -> NDArray[np.int32]:
-    """Spread each run of values over 0 .. size - 1, rounding half up."""
+    """Return where each value is on an image's side, rounding half up.
+
+    ``counts`` are the lengths of the runs of values that share a layer.
+    """
+    size, dtype = params.resolution_px, values.dtype.type
+    half = dtype(0.5)
+    if params.pixel_m is not None:
+        scaled = np.floor(values / dtype(params.pixel_m) + dtype(size // 2) + half)
+        return np.asarray(scaled, np.int32)
+    starts = np.cumsum(counts) - counts
     lowest = np.minimum.reduceat(values, starts)
-    delta = (np.maximum.reduceat(values, starts) - lowest) / values.dtype.type(size - 1)
+    delta = (np.maximum.reduceat(values, starts) - lowest) / dtype(size - 1)
     # A run without extent has value - lowest = 0 everywhere: any delta sends it to pixel 0.
     delta[~(delta > 0)] = 1
-    scaled = (values - np.repeat(lowest, counts)) / np.repeat(delta, counts)
-    scaled += values.dtype.type(0.5)
-    pixels: NDArray[np.int32] = scaled.astype(np.int32)
-    return pixels
+    scaled = values - np.repeat(lowest, counts)
+    scaled /= np.repeat(delta, counts)
+    scaled += half
+    return np.asarray(scaled, np.int32)

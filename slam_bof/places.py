@@ -9,7 +9,7 @@ from slam_bof.bof import BofParams, describe
 from slam_bof.contours import ContourParams, find_contours
 from slam_bof.layers import LayerParams, layer_images
 from slam_bof.points import PointParams, points_camera_f32
-from slam_bof.types import Bag, DepthFrame, Params
+from slam_bof.types import Array, Bag, DepthFrame, Params
 from slam_bof.vocabulary import TfIdf, Vocabulary
 
 __all__ = ["PlaceDescriber", "PlaceParams", "descriptors"]
@@ -24,11 +24,18 @@ class PlaceParams(Params):
     bof: BofParams = BofParams()
 
 
-def descriptors(frame: DepthFrame, params: PlaceParams) -> NDArray[np.float32]:
-    """Return the BOF descriptors of a frame, (C, n_points), C = 0 where nothing is seen."""
+def descriptors(
+    frame: DepthFrame, params: PlaceParams, *, gravity_camera: Array | None = None
+) -> NDArray[np.float32]:
+    """Return the BOF descriptors of a frame, (C, n_values), C = 0 where nothing is seen.
+
+    ``gravity_camera`` (3,) is the direction down in the camera frame, which layers along gravity
+    need; others ignore it.
+    """
     points = points_camera_f32(frame, params.points)
-    images = layer_images(points, params.layers)
-    contours = find_contours(images, params.contours)
+    margin_px = params.contours.margin_px
+    images = layer_images(points, params.layers, gravity_camera=gravity_camera, margin_px=margin_px)
+    contours = find_contours(images, params.contours, margin_px=margin_px)
     return describe(contours, params.bof)
 
 
@@ -40,14 +47,12 @@ class PlaceDescriber:
         self.vocabulary = vocabulary
         self.tf_idf = tf_idf
 
-    def describe(self, frame: DepthFrame) -> Bag:
+    def describe(self, frame: DepthFrame, *, gravity_camera: Array | None = None) -> Bag:
         """Return the frame's bag of words, empty where the frame shows nothing."""
-        return self.tf_idf.bag(self.words(frame))
+        return self.tf_idf.bag(self.words(frame, gravity_camera=gravity_camera))
 
-    def words(self, frame: DepthFrame) -> NDArray[np.int32]:
+    def words(self, frame: DepthFrame, *, gravity_camera: Array | None = None) -> NDArray[np.int32]:
         """Return the visual words of the frame's contours, (C,)."""
-        return self.vocabulary.lookup(self.descriptors(frame))
-
-    def descriptors(self, frame: DepthFrame) -> NDArray[np.float32]:
-        """Return the BOF descriptors of a frame, (C, n_points)."""
-        return descriptors(frame, self.params)
+        return self.vocabulary.lookup(
+            descriptors(frame, self.params, gravity_camera=gravity_camera)
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import Any, Self, TypeVar
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,6 @@ from pydantic import Field, model_validator
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
 __all__ = ["PointParams", "back_project", "points_camera", "points_camera_f32"]
-
-Float = TypeVar("Float", np.float32, np.float64)
 
 
 class PointParams(Params):
@@ -62,12 +60,23 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
     >>> back_project(np.array([[4.0, 0.0, 2.0]]), camera).tolist()
     [[-2.0, 0.0, 4.0], [1.0, 0.0, 2.0]]
     """
-    return np.ascontiguousarray(_back_project(depth_m, intrinsics, stride, np.float64))
+    x_per_z, y_per_z = _rays(intrinsics, stride)
+    expected = (len(y_per_z), len(x_per_z))
+    if depth_m.shape != expected:
+        raise ValueError(
+            f"depth_m must be {expected} at stride {stride}, as its intrinsics, got {depth_m.shape}"
+        )
+    depth = depth_m.astype(np.float64)
+    # The image is a grid: one row and one column of ray slopes stand for all pixels.
+    points = np.stack([depth * x_per_z, depth * y_per_z[:, None], depth], axis=-1)
+    found: Array = points[depth > 0]
+    return found
 
 
 def points_camera(frame: DepthFrame, params: PointParams) -> Array:
     """Return the frame's points within range, (N, 3) float64 ``points_camera``."""
-    depth_m = _depth_in_range(frame, params)
+    depth_m = frame.depth_m(params.stride)
+    depth_m[(depth_m < params.min_range_m) | (depth_m > params.max_range_m)] = 0.0
     return back_project(depth_m, frame.intrinsics, params.stride)
 
 
@@ -76,32 +85,13 @@ def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.floa
 
     (N, 3) float32, each column contiguous, which is what ``layers`` is quickest with.
     """
-    depth_m = _depth_in_range(frame, params)
-    return _back_project(depth_m, frame.intrinsics, params.stride, np.float32)
-
-
-def _depth_in_range(frame: DepthFrame, params: PointParams) -> NDArray[np.float32]:
     depth_m = frame.depth_m(params.stride)
-    depth_m[(depth_m < params.min_range_m) | (depth_m > params.max_range_m)] = 0.0
-    return depth_m
-
-
-def _back_project(
-    depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int, dtype: type[Float]
-) -> NDArray[Float]:
-    x_per_z, y_per_z = _rays(intrinsics, stride)
-    expected = (len(y_per_z), len(x_per_z))
-    if depth_m.shape != expected:
-        raise ValueError(
-            f"depth_m must be {expected} at stride {stride}, as its intrinsics, got {depth_m.shape}"
-        )
-    depth = depth_m.astype(dtype, copy=False)
-    valid = np.flatnonzero(depth > 0)
-    points = np.empty((3, len(valid)), dtype)
-    # The image is a grid: one row and one column of ray slopes stand for all pixels.
-    points[0] = (depth * x_per_z.astype(dtype)).reshape(-1)[valid]
-    points[1] = (depth * y_per_z.astype(dtype)[:, None]).reshape(-1)[valid]
-    points[2] = depth.reshape(-1)[valid]
+    valid = (depth_m >= params.min_range_m) & (depth_m <= params.max_range_m) & (depth_m > 0)
+    x_per_z, y_per_z = _rays(frame.intrinsics, params.stride)
+    points = np.empty((3, np.count_nonzero(valid)), np.float32)
+    points[0] = (depth_m * x_per_z.astype(np.float32))[valid]
+    points[1] = (depth_m * y_per_z.astype(np.float32)[:, None])[valid]
+    points[2] = depth_m[valid]
     return points.T
 
 

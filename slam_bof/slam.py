@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slam_bof import model as models
 from slam_bof import registry, se3
@@ -56,6 +56,7 @@ class LoopCloser:
         detector: LoopDetector,
         covisibility: CovisibilityParams,
         cloud: PointParams,
+        gravity_odom: ArrayLike,
         verification: LoopVerification,
         backend: Backend,
         clock: StageClock | None = None,
@@ -69,6 +70,7 @@ class LoopCloser:
         self._detector = detector
         self._covisibility = covisibility
         self._cloud = cloud
+        self._gravity_odom = np.asarray(gravity_odom, dtype=np.float64)
         self._verification = verification
         self._clock = clock or StageClock()
         self._stamps_s: list[float] = []
@@ -92,6 +94,7 @@ class LoopCloser:
             detector=LoopDetector(config.loops, model.vocabulary.n_words),
             covisibility=config.covisibility,
             cloud=config.cloud,
+            gravity_odom=config.gravity_odom,
             verification=LoopVerification(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 config.verification,
@@ -128,7 +131,8 @@ class LoopCloser:
 
     def _add_keyframe(self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose) -> Step:
         with self._clock.stage("describe"):
-            bag = self._describer.describe(frame)
+            gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
+            bag = self._describer.describe(frame, gravity_camera=gravity_camera)
             scene = self._scenes.predict_bag(bag) if self._scenes else None
         keyframe = Keyframe(
             len(self.keyframes), frame_index, frame.stamp_s, T_odom_camera, bag, scene

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams, descriptors
 from slam_bof.scenes import SceneClassifier
-from slam_bof.types import DepthFrame
+from slam_bof.types import Array, DepthFrame
 from slam_bof.vocabulary import TfIdf, Vocabulary, count_words
 
 __all__ = ["Descriptors", "TrainingFrame", "describe_frames", "fit_model", "train_model"]
@@ -19,18 +19,22 @@ __all__ = ["Descriptors", "TrainingFrame", "describe_frames", "fit_model", "trai
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingFrame:
-    """A depth frame with its scene label, if it has one, and the sequence it comes from."""
+    """A depth frame with its scene label, if it has one, and the sequence it comes from.
+
+    ``gravity_camera`` (3,), the direction down, is needed for layers along gravity only.
+    """
 
     frame: DepthFrame
     label: str | None = None
     group: str = ""
+    gravity_camera: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Descriptors:
     """The descriptors of all training frames.
 
-    ``values`` (M, n_points) stack those of each frame in turn; ``counts`` (N,) says how many
+    ``values`` (M, n_values) stack those of each frame in turn; ``counts`` (N,) says how many
     each frame has; ``labels`` and ``groups`` are of the N frames.
     """
 
@@ -76,11 +80,11 @@ def describe_frames(
     on_frame: Callable[[int], None] | None = None,
 ) -> Descriptors:
     """Return the BOF descriptors of frames."""
-    values = [np.empty((0, params.bof.n_points), np.float32)]
+    values = [np.empty((0, params.bof.n_values), np.float32)]
     labels: list[str | None] = []
     groups: list[str] = []
     for n_done, item in enumerate(frames, start=1):
-        values.append(descriptors(item.frame, params))
+        values.append(descriptors(item.frame, params, gravity_camera=item.gravity_camera))
         labels.append(item.label)
         groups.append(item.group)
         if on_frame is not None:

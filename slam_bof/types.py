@@ -90,7 +90,7 @@ class DepthFrame:
 
     def depth_m(self, stride: int = 1) -> NDArray[np.float32]:
         """Return every ``stride``-th pixel's depth in metres, 0 where it is missing."""
-        depth = self.depth[::stride, ::stride]
+        depth = np.ascontiguousarray(self.depth[::stride, ::stride])
         if depth.dtype == np.uint16:
             metres = depth * np.float32(0.001)
             metres[depth == INVALID_DEPTH_MM] = 0.0
@@ -103,8 +103,8 @@ class DepthFrame:
 class Contours:
     """The closed contours of one frame's layer images.
 
-    ``points_px[i]`` is an (M_i, 2) int32 array of (x, y) pixels in order, found in
-    layer ``layer[i]``; ``layer`` is (C,) int32.
+    ``points_px[i]`` is an (M_i, 2) int32 array of the (x, y) corners of a closed polygon, in
+    order, found in layer ``layer[i]``; ``layer`` is (C,) int32.
     """
 
     points_px: tuple[NDArray[np.int32], ...]

@@ -87,15 +87,19 @@ def find_contours(images, closing_px, min_area_share):
     return found
 
 
-def bof(contour, n):
-    """Centroid, n points of equal arc length, distances counter-clockwise over the largest."""
+def bof(contour, n, sampling="arc"):
+    """Centroid, n points, distances counter-clockwise over the largest."""
     points = [tuple(map(float, point)) for point in contour]
     moments = cv2.moments(np.asarray(contour, np.int32).reshape(-1, 1, 2))
     area = shoelace(points)
     if area == 0:
-        centre = tuple(np.mean(points, axis=0))
+        centre = middle_of_line(points)
     else:
         centre = (moments["m10"] / moments["m00"], moments["m01"] / moments["m00"])
+    if sampling == "angle":
+        radii = [ray(points, centre, 2 * math.pi * k / n) for k in range(n)]
+        largest = max(radii)
+        return [radius / largest if largest > 0 else 0.0 for radius in radii]
     if area > 0:  # y points down: positive is clockwise as seen
         points = points[:1] + points[:0:-1]
     closed = [*points, points[0]]
@@ -105,9 +109,33 @@ def bof(contour, n):
     return [radius / largest if largest > 0 else 0.0 for radius in radii]
 
 
+def middle_of_line(points):
+    edges = list(zip(points, points[1:] + points[:1], strict=True))
+    length = sum(math.dist(a, b) for a, b in edges)
+    if length == 0:
+        return points[0]
+    return tuple(
+        sum(math.dist(a, b) * (a[i] + b[i]) / 2 for a, b in edges) / length for i in range(2)
+    )
+
+
 def shoelace(points):
     following = points[1:] + points[:1]
     return sum(a[0] * b[1] - b[0] * a[1] for a, b in zip(points, following, strict=True)) / 2
+
+
+def ray(points, centre, angle):
+    """Return the distance to the farthest point of a polygon on a ray, 0 if there is none."""
+    c, s = math.cos(angle), math.sin(angle)
+    turned = [
+        ((x - centre[0]) * c - (y - centre[1]) * s, (x - centre[0]) * s + (y - centre[1]) * c)
+        for x, y in points
+    ]
+    farthest = 0.0
+    for a, b in zip(turned, turned[1:] + turned[:1], strict=True):
+        if (a[1] < 0) != (b[1] < 0):
+            farthest = max(farthest, a[0] + (b[0] - a[0]) * a[1] / (a[1] - b[1]))
+    return farthest
 
 
 def along(closed, distance):

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import oracle
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -34,9 +34,19 @@ def test_descriptors_equal_the_oracle(shapes):
     np.testing.assert_allclose(descriptors, expected, atol=1e-5)
 
 
-@given(st.lists(polygons, min_size=1, max_size=4))
-def test_any_polygon_gives_finite_radii_up_to_one(shapes):
-    descriptors = describe(contours_of(*shapes), BofParams())
+@given(arrays(np.int32, (20,), elements=st.integers(20, 100)), st.booleans())
+def test_descriptors_by_angle_equal_the_oracle(radii, clockwise):
+    angle = np.linspace(0.1, 2 * np.pi + 0.1, 20, endpoint=False) * (1 if clockwise else -1)
+    star = np.stack([radii * np.cos(angle), radii * np.sin(angle)], axis=1).round().astype(np.int32)
+    descriptor = describe(contours_of(star), BofParams(n_points=29, sampling="angle"))[0]
+    expected = np.array(oracle.bof(star, 29, "angle"))
+    # Rounding decides whether a ray meets a corner that it only touches.
+    assert (np.abs(descriptor - expected) > 1e-5).sum() <= 1
+
+
+@given(st.lists(polygons, min_size=1, max_size=4), st.sampled_from(["arc", "angle"]))
+def test_any_polygon_gives_finite_radii_up_to_one(shapes, sampling):
+    descriptors = describe(contours_of(*shapes), BofParams(sampling=sampling))
     assert descriptors.dtype == np.float32
     assert np.isfinite(descriptors).all()
     assert (descriptors >= 0).all()
@@ -71,6 +81,46 @@ def test_a_turned_square_matches_after_alignment():
     a, b = describe(contours_of(square, np.roll(diamond, 37, axis=0)), BofParams())
     errors = [np.abs(a - np.roll(b, shift)).max() for shift in range(180)]
     assert min(errors) < 0.02
+
+
+@pytest.mark.parametrize("sampling", ["arc", "angle"])
+@pytest.mark.parametrize("start", ["farthest", "fourier"])
+@given(turn=st.floats(0, 2 * np.pi))
+@settings(deadline=None, max_examples=25)
+def test_a_turned_shape_keeps_its_descriptor(sampling, start, turn):
+    angle = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
+    radius = 1e4 * (1 + 0.4 * np.cos(angle) + 0.2 * np.sin(3 * angle))
+    shape, turned = (radius * np.exp(1j * (angle + by)) for by in (0.0, turn))
+    params = BofParams(sampling=sampling, start=start)
+    a, b = describe(
+        contours_of(*(np.stack([z.real, z.imag], 1).round() for z in (shape, turned))), params
+    )
+    assert a.shape == (params.n_values,)
+    np.testing.assert_allclose(a, b, atol=0.03)
+
+
+def test_farthest_begins_at_the_largest_radius_and_fourier_keeps_the_mean():
+    shape = contours_of(ellipse(60, 20)[100:])
+    radii, farthest, fourier = (
+        describe(shape, BofParams(start=start))[0] for start in ("found", "farthest", "fourier")
+    )
+    assert farthest[0] == 1.0
+    np.testing.assert_array_equal(farthest, np.roll(radii, -radii.argmax()))
+    assert fourier.shape == (91,)
+    assert fourier[0] == pytest.approx(radii.mean(), abs=1e-6)
+
+
+def test_by_angle_a_square_has_the_radii_of_its_sides():
+    square = contours_of([[0, 0], [0, 20], [20, 20], [20, 0]])
+    radii = describe(square, BofParams(n_points=8, sampling="angle"))[0]
+    np.testing.assert_allclose(radii, [0.5**0.5, 1.0] * 4, atol=1e-6)
+
+
+def test_by_angle_a_centroid_outside_sees_nothing_on_the_open_side():
+    crescent = ellipse(500, 500, 4000)[:2001].tolist() + ellipse(480, 480, 4000)[2000::-1].tolist()
+    radii = describe(contours_of(crescent), BofParams(n_points=36, sampling="angle"))[0]
+    assert (radii == 0.0).any()
+    assert radii.max() == 1.0
 
 
 def test_order_is_counter_clockwise_as_seen():

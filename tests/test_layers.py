@@ -1,3 +1,5 @@
+import math
+
 import numpy as np
 import oracle
 import pytest
@@ -6,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 
-from slam_bof.layers import LayerParams, layer_images, layer_index
+from slam_bof.layers import LayerParams, _coordinates, layer_images, layer_index
 
 coordinates = st.floats(-8, 8, width=32)
 clouds = st.integers(0, 40).flatmap(
@@ -54,6 +56,70 @@ def test_layers_follow_any_axis():
     assert along_x.tolist() == layer_index(turned, LayerParams(n_layers=5)).tolist()
 
 
+@given(clouds, st.integers(1, 6), st.floats(0.05, 3.0), st.floats(-5, 5))
+def test_layers_of_fixed_thickness_hold_what_lies_in_them(points, n_layers, thickness_m, start_m):
+    params = LayerParams(n_layers=n_layers, thickness_m=thickness_m, start_m=start_m)
+    index = layer_index(points, params)
+    for point, layer in zip(points, index, strict=True):
+        dtype = point.dtype.type
+        expected = math.floor((point[2] - dtype(start_m)) / dtype(thickness_m))
+        assert layer == (expected if 0 <= expected < n_layers else -1)
+
+
+def test_things_keep_their_size_in_metric_images():
+    params = LayerParams(n_layers=2, resolution_px=10, thickness_m=1.0, start_m=1.0, pixel_m=0.1)
+    thing = np.array([[0.0, 0.0, 1.5], [0.2, 0.1, 1.5]])
+    others = np.array([[3.0, 0.0, 1.2], [-0.6, 0.0, 1.2], [0.0, 0.0, 3.5], [0.0, 0.45, 0.5]])
+    for points in (thing, np.concatenate([thing, others])):
+        images = layer_images(points, params)
+        assert np.argwhere(images).tolist() == [[0, 5, 5], [0, 6, 7]]
+
+
+def test_layers_along_gravity_do_not_tilt_with_the_camera():
+    level = np.random.default_rng(3).uniform((-1, -1, 2), (1, 1, 4), (300, 3))
+    params = LayerParams(n_layers=4, resolution_px=15, axis="gravity", plane="axis")
+    tilt = 0.4
+    R_camera_level = np.array(
+        [[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]]
+    )
+    down = np.array([0.0, 1.0, 0.0])
+    straight = layer_images(level, params, gravity_camera=down)
+    tilted = layer_images(level @ R_camera_level.T, params, gravity_camera=R_camera_level @ down)
+    np.testing.assert_array_equal(straight, tilted)
+    assert straight.any(axis=(1, 2)).all()
+    with pytest.raises(ValueError, match="layers along gravity need gravity_camera"):
+        layer_images(level, params)
+
+
+@pytest.mark.parametrize("axis", [(0.0, 0.0, -2.0), (0.3, -0.4, 0.5), (0.0, 1.0, 0.0)])
+def test_the_plane_across_the_axis_is_right_handed(axis):
+    unit = np.array(axis) / np.linalg.norm(axis)
+    points = np.array([[0, 0, 0], unit, [0.5, 0.2, 0.1]])
+    x, y, height = _coordinates(points, LayerParams(axis=axis, plane="axis"), None)
+    np.testing.assert_allclose([x[1], y[1], height[1]], [0, 0, 1], atol=1e-12)
+    assert np.hypot(np.hypot(x[2], y[2]), height[2]) == pytest.approx(np.linalg.norm(points[2]))
+
+
+def test_many_layers_are_kept_apart():
+    points = np.array([[0, 0, z] for z in np.arange(1000.0)])
+    index = layer_index(points, LayerParams(n_layers=1000))
+    assert (np.diff(index) >= 0).all()
+    assert index[0] == 0
+    assert index[-1] == 999
+
+
+@pytest.mark.parametrize("margin_px", [0, 2])
+def test_the_margin_is_empty(margin_px):
+    points = np.random.default_rng(4).normal(size=(200, 3))
+    images = layer_images(points, LayerParams(n_layers=3, resolution_px=9), margin_px=margin_px)
+    assert images.shape == (3, 9 + 2 * margin_px, 9 + 2 * margin_px)
+    inner = images[:, margin_px : margin_px + 9, margin_px : margin_px + 9]
+    assert inner.sum() == images.sum()
+    np.testing.assert_array_equal(
+        inner, layer_images(points, LayerParams(n_layers=3, resolution_px=9))
+    )
+
+
 def test_flat_clouds_have_a_defined_image():
     size = LayerParams().resolution_px
     line = np.array([[1.0, y, 2.0] for y in (0.0, 0.5, 1.0)])
@@ -84,3 +150,5 @@ def test_bad_arguments_are_refused():
         layer_images(np.zeros(3), LayerParams())
     with pytest.raises(ValidationError, match="axis must be a direction"):
         LayerParams(axis=(0.0, 0.0, 0.0))
+    with pytest.raises(ValidationError, match="'nearest' is for layers without thickness_m"):
+        LayerParams(rounding="nearest", thickness_m=0.1)

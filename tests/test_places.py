@@ -75,13 +75,25 @@ def describer():
 
 def test_a_frame_becomes_a_bag(describer):
     frame = random_frame(99)
-    found = describer.descriptors(frame)
+    found = descriptors(frame, SMALL)
     assert found.shape[1] == 180
     words = describer.words(frame)
     assert words.shape == (len(found),)
     bag = describer.describe(frame)
     assert bag.weights.sum() == pytest.approx(1.0, abs=1e-6)
     assert set(bag.words.tolist()) <= set(words.tolist())
+
+
+def test_layers_along_gravity_need_to_know_it():
+    params = SMALL.model_copy(update={"layers": LayerParams(n_layers=3, axis="gravity")})
+    frame = random_frame(7)
+    with pytest.raises(ValueError, match="layers along gravity need gravity_camera"):
+        descriptors(frame, params)
+    down = np.array([0.0, 0.0, 1.0])  # a camera that looks at the floor
+    along_optical_axis = SMALL.model_copy(update={"layers": LayerParams(n_layers=3)})
+    np.testing.assert_array_equal(
+        descriptors(frame, params, gravity_camera=down), descriptors(frame, along_optical_axis)
+    )
 
 
 def test_millimetres_and_metres_give_the_same_bag(describer):
@@ -92,7 +104,7 @@ def test_millimetres_and_metres_give_the_same_bag(describer):
 
 def test_a_blind_frame_has_an_empty_bag(describer):
     blind = DepthFrame(0.0, np.zeros((24, 32), np.uint16), CAMERA)
-    assert describer.descriptors(blind).shape == (0, 180)
+    assert descriptors(blind, SMALL).shape == (0, 180)
     assert describer.words(blind).shape == (0,)
     bag = describer.describe(blind)
     assert bag.words.shape == bag.weights.shape == (0,)

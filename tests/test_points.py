@@ -49,9 +49,10 @@ def test_single_precision_agrees_with_double():
 
 
 @pytest.mark.parametrize("points_of", [points_camera, points_camera_f32])
-def test_nothing_seen_gives_no_points(points_of):
-    frame = DepthFrame(0.0, np.zeros((7, 9), np.uint16), CAMERA)
-    assert points_of(frame, PointParams()).shape == (0, 3)
+@pytest.mark.parametrize("missing", [0, 65535])
+def test_nothing_seen_gives_no_points(points_of, missing):
+    frame = DepthFrame(0.0, np.full((7, 9), missing, np.uint16), CAMERA)
+    assert points_of(frame, PointParams(min_range_m=0.0)).shape == (0, 3)
 
 
 def test_wrong_shape_is_refused():

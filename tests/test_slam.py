@@ -1,0 +1,47 @@
+"""What no end-to-end run shows of the two-call plug-in."""
+
+import numpy as np
+import pytest
+
+from slam_bof import model as models
+from slam_bof.config import override, preset
+from slam_bof.layers import LayerParams
+from slam_bof.places import PlaceParams, descriptors
+from slam_bof.slam import LoopCloser
+from slam_bof.training import TrainingFrame, train_model
+
+
+@pytest.fixture
+def gravity_model(tmp_path, look):
+    """A model whose layers follow gravity, of a few views of a room."""
+    params = PlaceParams(layers=LayerParams(n_layers=8, axis="gravity"))
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[:, :3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    poses[:, :3, 3] = [[2.0, 2.0, 1.2 + 0.1 * i] for i in range(4)]
+    frames = [look(pose, index) for index, pose in enumerate(poses)]
+    down = np.array([0.0, 1.0, 0.0])
+    model = train_model(
+        [TrainingFrame(frame, gravity_camera=down) for frame in frames],
+        params,
+        n_words=8,
+        trained_on="a room of the tests",
+    )
+    models.save(model, tmp_path / "gravity.bof")
+    return tmp_path / "gravity.bof", params, frames
+
+
+def test_gravity_follows_the_odometry(gravity_model):
+    file, params, (frame, *_) = gravity_model
+    tilt = 0.5
+    T_odom_camera = np.eye(4)
+    T_odom_camera[1:3, 1:3] = [[np.cos(tilt), -np.sin(tilt)], [np.sin(tilt), np.cos(tilt)]]
+    config = override(preset("indoor"), [f"model={file}"])
+    step = LoopCloser.from_config(config).process(frame, T_odom_camera)
+    model = models.load(file)
+    words = model.vocabulary.lookup(
+        descriptors(frame, params, gravity_camera=T_odom_camera[:3, :3].T @ [0.0, 1.0, 0.0])
+    )
+    level = model.describer().words(frame, gravity_camera=np.array([0.0, 1.0, 0.0]))
+    expected, otherwise = model.tf_idf.bag(words), model.tf_idf.bag(level)
+    assert step.keyframe.bag.words.tolist() == expected.words.tolist()
+    assert step.keyframe.bag.words.tolist() != otherwise.words.tolist()
