@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -53,9 +51,14 @@ class InvertedIndex:
         for word, weight in zip(bag.words.tolist(), bag.weights, strict=True):
             postings = self._postings.get(word)
             if postings is not None:
-                # A bag holds a word once, so that no id comes twice.
-                scores[postings.ids()] += np.minimum(postings.weights(), weight)
-        return np.minimum(scores, np.float32(1.0))
+                # Of the ways to scatter, the one that takes 32-bit ids as they are.
+                np.add.at(scores, postings.ids(), np.minimum(postings.weights(), weight))
+        return np.minimum(scores, np.float32(1.0), out=scores)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the arrays held, with the room they have to grow."""
+        return sum(postings.nbytes for postings in self._postings.values())
 
     def _check(self, bag: Bag) -> None:
         if len(bag.words) and not 0 <= bag.words[0] <= bag.words[-1] < self.n_words:
@@ -65,7 +68,10 @@ class InvertedIndex:
 
 
 class _Postings:
-    """The bags that hold a word, and the weight it has in each; arrays that double."""
+    """The bags that hold a word, and the weight it has in each.
+
+    The arrays grow by an eighth, which wastes little and still copies seldom.
+    """
 
     __slots__ = ("_ids", "_n", "_weights")
 
@@ -76,8 +82,9 @@ class _Postings:
 
     def append(self, bag_id: int, weight: float) -> None:
         if self._n == len(self._ids):
-            self._ids = _doubled(self._ids)
-            self._weights = _doubled(self._weights)
+            room = 4 + self._n // 8
+            self._ids = np.concatenate([self._ids, np.empty(room, np.int32)])
+            self._weights = np.concatenate([self._weights, np.empty(room, np.float32)])
         self._ids[self._n] = bag_id
         self._weights[self._n] = weight
         self._n += 1
@@ -88,6 +95,6 @@ class _Postings:
     def weights(self) -> NDArray[np.float32]:
         return self._weights[: self._n]
 
-
-def _doubled(values: NDArray[Any]) -> NDArray[Any]:
-    return np.concatenate([values, np.empty_like(values)])
+    @property
+    def nbytes(self) -> int:
+        return self._ids.nbytes + self._weights.nbytes

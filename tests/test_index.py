@@ -75,3 +75,13 @@ def test_an_empty_bag_scores_nothing():
 def test_a_word_outside_the_vocabulary_is_refused():
     with pytest.raises(ValueError, match=r"words must be in 0 \.\. 11, got 3 \.\. 12"):
         InvertedIndex(N_WORDS).add(bag_of({3: 0.5, 12: 0.5}))
+
+
+def test_memory_is_little_more_than_the_postings():
+    rng = np.random.default_rng(0)
+    index = InvertedIndex(50)
+    for _ in range(2000):
+        words = np.sort(rng.choice(50, 10, replace=False)).astype(np.int32)
+        index.add(Bag(words, np.full(10, 0.1, np.float32)))
+    postings_bytes = 2000 * 10 * 8
+    assert postings_bytes <= index.nbytes <= 1.15 * postings_bytes
