@@ -30,6 +30,7 @@ __all__ = [
     "recall_at_k",
     "revisits",
     "rpe",
+    "same_place",
     "scene_accuracy",
 ]
 
@@ -202,34 +203,39 @@ def loop_precision(
     return float(np.mean((errors <= [max_translation_m, max_rotation_rad]).all(axis=1)))
 
 
-def revisits(
-    keyframe_indices: Sequence[int],
+def same_place(
+    frame_indices: Sequence[int],
     reference: Trajectory,
     *,
     min_age_frames: int = 100,
     max_distance_m: float = 0.3,
     max_angle_rad: float = np.radians(25.0),
 ) -> NDArray[np.bool_]:
-    """Tell which keyframes come back to a place.
+    """Tell which frames come back to the place of which others.
 
-    That is, to within the given distance and angle, by ground truth, of a keyframe at least
-    ``min_age_frames`` older. Parameters are those of ``loop_errors``.
+    That is, to within the given distance and angle, by ground truth, of a frame at least
+    ``min_age_frames`` older.
 
     Returns
     -------
     NDArray
-        (K,) bool, false where the truth is unknown.
+        (K, K) bool, row: the frame that comes back; column: the older one. False where the
+        truth is unknown.
     """
-    index = np.asarray(keyframe_indices, dtype=np.intp)
+    index = np.asarray(frame_indices, dtype=np.intp)
     truth = reference.poses[index]
-    back = np.zeros(len(index), dtype=bool)
+    same = np.zeros((len(index), len(index)), dtype=bool)
     for k, T in enumerate(truth):
-        old = truth[index <= index[k] - min_age_frames]
         # Comparing with NaN is false, so unknown poses are near nothing.
-        near = np.linalg.norm(old[:, :3, 3] - T[:3, 3], axis=1) <= max_distance_m
-        turned = se3.rotation_angle(se3.inverse(old) @ T) <= max_angle_rad
-        back[k] = bool((near & turned).any())
-    return back
+        near = np.linalg.norm(truth[:, :3, 3] - T[:3, 3], axis=1) <= max_distance_m
+        turned = se3.rotation_angle(se3.inverse(truth) @ T) <= max_angle_rad
+        same[k] = near & turned & (index <= index[k] - min_age_frames)
+    return same
+
+
+def revisits(keyframe_indices: Sequence[int], reference: Trajectory) -> NDArray[np.bool_]:
+    """Tell which keyframes come back to the place of an older one, (K,); see ``same_place``."""
+    return same_place(keyframe_indices, reference).any(axis=1)
 
 
 def loop_recall(

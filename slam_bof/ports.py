@@ -25,7 +25,15 @@ from slam_bof.types import (
     Verification,
 )
 
-__all__ = ["Backend", "Dataset", "NullObserver", "Observer", "Odometry", "Verifier"]
+__all__ = [
+    "Backend",
+    "Dataset",
+    "Descriptor",
+    "NullObserver",
+    "Observer",
+    "Odometry",
+    "Verifier",
+]
 
 
 @runtime_checkable
@@ -54,11 +62,27 @@ class Dataset(Protocol):
     def color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the (H, W, 3) RGB image registered to the depth image, if there is one."""
 
+    def gray(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the (H, W) grey image as the colour camera recorded it, if there is one."""
+
     def groundtruth(self) -> Trajectory | None:
         """Return ``T_world_camera`` of every frame (NaN where unknown), if there are any."""
 
     def scenes(self) -> tuple[str, ...] | None:
         """Return the true scene label of every frame, if there are any."""
+
+
+@runtime_checkable
+class Descriptor(Protocol):
+    """Describes what a frame shows by local features, which visual words are learnt of."""
+
+    needs_gray: ClassVar[bool]
+    """Whether it looks at the grey image; without, depth is all it needs."""
+    is_binary: ClassVar[bool]
+    """Whether values are bits packed in bytes."""
+
+    def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[Any]:
+        """Return the descriptors, (M, D) float32 or (M, D / 8) uint8, M = 0 if there are none."""
 
 
 @runtime_checkable

@@ -15,17 +15,18 @@ ROOT = Path(__file__).resolve().parent.parent
 # A module imports only from rows above its own. This is the one place that says so.
 _ROWS = """
     errors types validation native se3 timing trajectory ports
-    points layers contours bof vocabulary index places
+    points layers contours bof packing vocabulary index places
     scenes keyframes loops covisibility consistency verification model
     schema rows store queries
     registry config slam mapping
-    evaluation metrics synthetic training
+    evaluation metrics synthetic training bench
     figures page report runs run cli
 """
 ORDER = _ROWS.split()
 
-# What a plug-in may know of slam_bof: its records, its helpers, and how depth becomes points.
-OPEN_TO_PLUGINS = {"errors", "types", "native", "se3", "trajectory", "ports", "points"}
+# What a plug-in may know of slam_bof: its records, its helpers, and how depth becomes points
+# and descriptors.
+OPEN_TO_PLUGINS = {"errors", "types", "native", "se3", "trajectory", "ports", "points", "places"}
 
 PACKAGES = {"slam_bof": ROOT / "slam_bof", "slam_bof_plugins": ROOT / "plugins/slam_bof_plugins"}
 

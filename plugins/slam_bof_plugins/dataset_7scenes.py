@@ -87,16 +87,15 @@ class SevenScenes:
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the colour image and move its pixels (H, W, 3) to where depth sees them."""
-        for suffix in COLOR_SUFFIXES:
-            file = self._file(index, suffix)
-            if file.is_file():
-                image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-                if image is None:
-                    logger.warning("%s: colour image cannot be read", file)
-                    return None
-                rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-                return _register(rgb, self.frame(index))
-        return None
+        image = self._color_image(index, cv2.IMREAD_COLOR)
+        if image is None:
+            return None
+        rgb = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return _register(rgb, self.frame(index))
+
+    def gray(self, index: int) -> NDArray[np.uint8] | None:
+        """Read the colour image as it was recorded, in grey, (H, W)."""
+        return self._color_image(index, cv2.IMREAD_GRAYSCALE)
 
     def groundtruth(self) -> Trajectory | None:
         """Return the poses, NaN for frames without; None if no frame has one."""
@@ -105,6 +104,16 @@ class SevenScenes:
     def scenes(self) -> tuple[str, ...] | None:
         """Return the labels of ``scenes.csv`` (columns frame, scene), if there is that file."""
         return self._scenes
+
+    def _color_image(self, index: int, flags: int) -> NDArray[np.uint8] | None:
+        for suffix in COLOR_SUFFIXES:
+            file = self._file(index, suffix)
+            if file.is_file():
+                image: NDArray[np.uint8] | None = cv2.imread(str(file), flags)
+                if image is None:
+                    logger.warning("%s: colour image cannot be read", file)
+                return image
+        return None
 
     def _file(self, index: int, suffix: str) -> Path:
         return self.folder / f"frame-{self._numbers[index]:06d}{suffix}"
