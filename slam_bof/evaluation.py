@@ -235,7 +235,7 @@ def same_place(
 
 def revisits(keyframe_indices: Sequence[int], reference: Trajectory) -> NDArray[np.bool_]:
     """Tell which keyframes come back to the place of an older one, (K,); see ``same_place``."""
-    return same_place(keyframe_indices, reference).any(axis=1)
+    return np.asarray(same_place(keyframe_indices, reference).any(axis=1))
 
 
 def loop_recall(

@@ -31,7 +31,7 @@ from slam_bof.places import PlaceDescriber, PlaceParams
 from slam_bof.scenes import SceneClassifier
 from slam_bof.vocabulary import TfIdf, Vocabulary
 
-__all__ = ["FORMAT_VERSION", "Model", "load", "load_default", "save"]
+__all__ = ["FORMAT_VERSION", "Model", "classifier_bytes", "load", "load_default", "save"]
 
 FORMAT = "slam_bof model"
 FORMAT_VERSION = 1
@@ -149,9 +149,9 @@ def _parse(data: bytes, name: str) -> Model:
 def _build(manifest: dict[str, Any], entries: Entries) -> Model:
     places = PlaceParams.model_validate(manifest["places"])
     words, idf = _array(entries["words.npy"]), _array(entries["idf.npy"])
-    if words.shape != (len(idf), places.bof.n_points):
+    if words.shape != (len(idf), places.bof.n_values):
         raise ValueError(
-            f"words must be ({len(idf)}, {places.bof.n_points}) as idf and n_points, "
+            f"words must be ({len(idf)}, {places.bof.n_values}) as idf and n_values, "
             f"got {words.shape}"
         )
     return Model(
@@ -183,7 +183,7 @@ def _entries(model: Model) -> Entries:
         "idf.npy": _array_bytes(model.tf_idf.idf_),
     }
     if model.scenes is not None:
-        entries["scenes.skops"] = _dump_scenes(model.scenes)
+        entries["scenes.skops"] = classifier_bytes(model.scenes)
     return entries
 
 
@@ -214,7 +214,8 @@ def _array(data: bytes) -> NDArray[Any]:
     return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
 
 
-def _dump_scenes(scenes: SceneClassifier) -> bytes:
+def classifier_bytes(scenes: SceneClassifier) -> bytes:
+    """Return a scene classifier as model files hold it: skops, the same bytes every time."""
     import skops.io
 
     # skops names objects and files by memory address: number them as they come instead.

@@ -109,10 +109,11 @@ class SevenScenes:
         for suffix in COLOR_SUFFIXES:
             file = self._file(index, suffix)
             if file.is_file():
-                image: NDArray[np.uint8] | None = cv2.imread(str(file), flags)
+                image = cv2.imread(str(file), flags)
                 if image is None:
                     logger.warning("%s: colour image cannot be read", file)
-                return image
+                    return None
+                return np.asarray(image, np.uint8)
         return None
 
     def _file(self, index: int, suffix: str) -> Path:

@@ -34,7 +34,7 @@ class SiftDescriptor:
     is_binary: ClassVar[bool] = False
 
     def __init__(self, params: SiftParams) -> None:
-        self._sift = cv2.SIFT_create(nfeatures=params.n_features)
+        self._sift = cv2.SIFT.create(nfeatures=params.n_features)
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.float32]:
         """Return the descriptors, (M, 128)."""
@@ -49,7 +49,7 @@ class OrbDescriptor:
     is_binary: ClassVar[bool] = True
 
     def __init__(self, params: OrbParams) -> None:
-        self._orb = cv2.ORB_create(nfeatures=params.n_features)
+        self._orb = cv2.ORB.create(nfeatures=params.n_features)
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
         """Return the descriptors, (M, 32): 256 bits each."""

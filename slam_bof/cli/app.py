@@ -8,6 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from slam_bof.cli.benching import bench
 from slam_bof.cli.maps import export, query, report
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
@@ -54,7 +55,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (demo, run, query, report, export, plugins, config, doctor, version):
+for command in (demo, run, query, report, export, bench, plugins, config, doctor, version):
     app.command()(command)
 
 

@@ -1,0 +1,52 @@
+"""CPU and wall seconds of what is done, on one thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+__all__ = ["Cost", "one_thread"]
+
+
+@dataclass
+class Cost:
+    """Seconds of CPU and of the clock on the wall, and the CPU seconds of each call."""
+
+    cpu_s: float = 0.0
+    wall_s: float = 0.0
+    calls_s: list[float] = field(default_factory=list)
+
+    @contextmanager
+    def measure(self) -> Iterator[None]:
+        """Add what the ``with`` block costs."""
+        wall_s, cpu_s = time.perf_counter(), time.process_time()
+        yield
+        self.calls_s.append(time.process_time() - cpu_s)
+        self.cpu_s += self.calls_s[-1]
+        self.wall_s += time.perf_counter() - wall_s
+
+    @property
+    def median_ms(self) -> float:
+        """CPU milliseconds of a call."""
+        return 1e3 * float(np.median(self.calls_s))
+
+    def __add__(self, other: Cost) -> Cost:
+        return Cost(self.cpu_s + other.cpu_s, self.wall_s + other.wall_s)
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Keep OpenCV, BLAS and OpenMP to one thread within the ``with`` block."""
+    n_threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(n_threads)
