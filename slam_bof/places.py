@@ -9,6 +9,7 @@ from slam_bof.bof import BofParams, describe
 from slam_bof.contours import ContourParams, find_contours
 from slam_bof.layers import LayerParams, layer_images
 from slam_bof.points import PointParams, points_camera_f32
+from slam_bof.scratch import scratch_image
 from slam_bof.types import Array, Bag, DepthFrame, Params
 from slam_bof.vocabulary import TfIdf, Vocabulary
 
@@ -34,7 +35,14 @@ def descriptors(
     """
     points = points_camera_f32(frame, params.points)
     margin_px = params.contours.margin_px
-    images = layer_images(points, params.layers, gravity_camera=gravity_camera, margin_px=margin_px)
+    side = params.layers.resolution_px + 2 * margin_px
+    images = layer_images(
+        points,
+        params.layers,
+        gravity_camera=gravity_camera,
+        margin_px=margin_px,
+        out=scratch_image("layers", (params.layers.n_images, side, side)),
+    )
     contours = find_contours(images, params.contours, margin_px=margin_px)
     return describe(contours, params.bof)
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A module imports only from rows above its own. This is the one place that says so.
 _ROWS = """
-    errors types validation native se3 timing trajectory ports
+    errors types validation native scratch se3 timing trajectory ports
     points layers contours bof packing vocabulary index places
     scenes keyframes loops covisibility consistency verification model
     schema rows store queries
