@@ -35,7 +35,7 @@ def sequence(tmp_path_factory, look, standpoint):
         stem = folder / f"frame-{number:06d}"
         cv2.imwrite(f"{stem}.depth.png", look(T_world_camera, number).depth)
         noise = np.random.default_rng(number).integers(0, 256, (60, 80, 3)).astype(np.uint8)
-        cv2.imwrite(f"{stem}.color.png", cv2.resize(noise, (640, 480)))
+        cv2.imwrite(f"{stem}.color.png", cv2.resize(noise, (320, 240)))
         np.savetxt(f"{stem}.pose.txt", T_world_camera)
     return folder
 
@@ -94,7 +94,7 @@ def test_without_colour_sift_and_orb_are_left_out(sequence, tmp_path):
     arguments = ["bench", "--data", str(plain), "--words", "8", "--index-size", "10"]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
-    assert "SIFT is left out: the sequence has no colour images." in result.stdout
+    assert "SIFT is left out: no colour images in room/seq-02." in result.stdout
     assert "Table 7" in result.stdout
     assert "Table 8" not in result.stdout
 
@@ -112,14 +112,6 @@ def test_several_sequences_are_a_class_each(sequence):
     assert found["classes"] == ["other/seq-01", "room/seq-01"]
     assert found["frames"] == 20
     assert found["methods"]["BOF 3 layers"]["recall"] is None
-
-
-def test_too_few_descriptors_are_one_line(sequence):
-    arguments = ["bench", "--data", str(sequence), "--index-size", "10"]
-    result = CliRunner().invoke(app, arguments)
-    assert result.exit_code == 1
-    *_, last = result.stderr.splitlines()
-    assert last.startswith(f"error: {sequence}: too few frames or too plain: n_words must be at")
 
 
 def test_a_cost_adds_up_its_calls():

@@ -5,6 +5,7 @@ block by block, so that a noisy machine treats them alike. Reading and decoding 
 count, and is told apart.
 """
 
-from slam_bof.bench.tables import METHODS, Method, run_bench
+from slam_bof.bench.describing import METHODS, Method
+from slam_bof.bench.tables import run_bench
 
 __all__ = ["METHODS", "Method", "run_bench"]

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from slam_bof import evaluation
 from slam_bof.bench.cost import Cost
+from slam_bof.bench.describing import Progress
 from slam_bof.index import InvertedIndex
 from slam_bof.types import Bag, Trajectory
 
-__all__ = ["Progress", "measure_index", "measure_recall"]
+__all__ = ["measure_index", "measure_recall"]
 
 MIN_AGE_FRAMES = 100
 N_MIXED = 10_000
 N_QUERIES = 50
-
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how much of it is, and of how much."""
 
 
 def measure_recall(
@@ -56,9 +54,9 @@ def measure_index(
             for bag in part:
                 index.add(bag)
         on_progress(f"Index of {size}", start + len(part), size)
-    for bag in mixed[:N_QUERIES]:
+    for k in np.linspace(0, len(bags) - 1, N_QUERIES).round().astype(int):
         with query.measure():
-            index.scores(bag)
+            index.scores(bags[k])
     return {
         "query_ms": query.median_ms,
         "add_ms": 1e3 * adding.cpu_s / size,

@@ -2,59 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof import registry
 from slam_bof.bench.cost import Cost, one_thread
-from slam_bof.bench.querying import Progress, measure_index, measure_recall
+from slam_bof.bench.describing import (
+    METHODS,
+    N_REPEATS,
+    BenchFrame,
+    Described,
+    Method,
+    Progress,
+    choose_frames,
+    describe,
+)
+from slam_bof.bench.querying import measure_index, measure_recall
+from slam_bof.metrics import peak_rss_mb
 from slam_bof.model import classifier_bytes
 from slam_bof.packing import pack, unpack
-from slam_bof.ports import Dataset, Descriptor
+from slam_bof.ports import Dataset
 from slam_bof.scenes import SceneClassifier
 from slam_bof.types import Bag
 from slam_bof.vocabulary import TfIdf, Vocabulary, count_words
 
-__all__ = ["METHODS", "Method", "run_bench"]
+__all__ = ["run_bench"]
 
-BLOCK = 25
-"""Frames that one method describes before it is the next one's turn."""
-N_REPEATS = 10
-"""How often process 1 describes one frame."""
-N_STRETCHES = 5
-"""Classes that a single sequence is cut into."""
+MIN_DESCRIPTORS = 10
+"""Below so many in all frames there is no codebook to speak of."""
 QUERY_EVERY = 5
 """Recall is measured on each so many frames."""
-
-
-@dataclass(frozen=True, slots=True)
-class Method:
-    """A column of the tables: a descriptor plug-in, and the samples its codebook sees at most."""
-
-    name: str
-    plugin: str
-    options: Mapping[str, Any]
-    max_samples: int
-
-
-METHODS = (
-    Method("BOF 3 layers", "bof", {"layers": {"n_layers": 3}}, 34_000),
-    Method("BOF 20 layers", "bof", {"layers": {"n_layers": 20}}, 190_000),
-    Method("SIFT", "sift", {}, 150_000),
-    Method("ORB", "orb", {}, 150_000),
-)
-"""The paper's three, with its numbers of samples (section 4.4), and ORB."""
-
-
-@dataclass(frozen=True, slots=True)
-class _Frame:
-    dataset: Dataset
-    index: int
-    label: str
+INDEXED = "BOF 20 layers"
+"""The method whose bags the large indices hold."""
 
 
 def run_bench(
@@ -76,7 +57,7 @@ def run_bench(
     n_frames
         Take so many, evenly spaced, of each sequence; by default all.
     n_words
-        Of the codebooks.
+        Of the codebooks; fewer where a method finds fewer descriptors in all frames.
     index_sizes
         Numbers of keyframes that a query is timed against.
     on_progress
@@ -85,122 +66,84 @@ def run_bench(
     Returns
     -------
     dict
-        ``frames``, ``decode_ms``, ``left_out`` (methods and why), ``methods`` by name (the
-        figures of one column) and ``index`` (of a query, by number of keyframes).
+        ``methods`` by name (the figures of one column each), ``increases`` (table 8),
+        ``index`` (of a query, by number of keyframes), ``left_out`` (methods and why), and what
+        was measured on.
 
     Raises
     ------
-    ValueError
-        If the frames give fewer descriptors than words.
+    DatasetError
+        If there are too few frames, or some have colour and some have none.
     """
-    frames = _frames(datasets, n_frames)
-    methods, left_out = list(METHODS), {}
-    if frames[0].dataset.gray(frames[0].index) is None:
-        left_out = {m.name: "the sequence has no colour images" for m in METHODS[2:]}
-        methods = list(METHODS[:2])
+    frames = choose_frames(datasets, n_frames)
+    methods, left_out = _methods(datasets)
+    columns: dict[str, dict[str, Any]] = {}
+    indexed: tuple[list[Bag], int] = ([], n_words)
     with one_thread():
-        decode, described = _describe(frames, methods, on_progress)
-        columns: dict[str, dict[str, Any]] = {}
-        bags: dict[str, list[Bag]] = {}
-        for done, method in enumerate(methods):
-            on_progress(f"Words of {method.name}", done, len(methods))
-            columns[method.name], bags[method.name] = _measure(
-                frames, method, *described.pop(method.name), n_words=n_words, seed=seed
-            )
-        on_progress("Words", len(methods), len(methods))
+        reading, described = describe(frames, methods, on_progress)
+        for done, method in enumerate(methods, start=1):
+            found = described.pop(method.name)
+            if len(found) < MIN_DESCRIPTORS:
+                left_out[method.name] = f"{len(found)} descriptors in all frames"
+                continue
+            words = min(n_words, len(found), method.max_samples)
+            column, bags = _measure(frames, method, found, n_words=words, seed=seed)
+            columns[method.name] = column
+            if method.name == INDEXED:
+                indexed = bags, words
+            on_progress("Codebooks and classifiers", done, len(methods))
         index = {
-            str(size): measure_index(bags["BOF 20 layers"], size, n_words, seed, on_progress)
-            for size in index_sizes
+            str(size): measure_index(indexed[0], size, indexed[1], seed, on_progress)
+            for size in (index_sizes if indexed[0] else ())
         }
     return {
         "sequences": [dataset.sequence for dataset in datasets],
         "frames": len(frames),
         "classes": sorted({frame.label for frame in frames}),
-        "words": n_words,
-        "decode_ms": decode.median_ms,
+        "decode_ms": reading.median_ms,
         "left_out": left_out,
         "methods": columns,
+        "increases": _increases(columns),
         "index": index,
+        "peak_rss_mb": peak_rss_mb(),
         "seed": seed,
     }
 
 
-def _frames(datasets: Sequence[Dataset], n_frames: int | None) -> list[_Frame]:
-    frames = []
-    for dataset in datasets:
-        n = min(n_frames or len(dataset), len(dataset))
-        for k, index in enumerate(np.linspace(0, len(dataset) - 1, n).round().astype(int)):
-            label = f"stretch {k * N_STRETCHES // n}" if len(datasets) == 1 else dataset.sequence
-            frames.append(_Frame(dataset, int(index), label))
-    return frames
-
-
-def _describe(
-    frames: Sequence[_Frame], methods: Sequence[Method], on_progress: Progress
-) -> tuple[Cost, dict[str, tuple[Descriptor, Cost, list[NDArray[Any]]]]]:
-    """Describe all frames by all methods; values that fit are kept in 8 bits."""
-    decode = Cost()
-    described: dict[str, tuple[Descriptor, Cost, list[NDArray[Any]]]] = {
-        m.name: (registry.build("descriptors", m.plugin, m.options), Cost(), []) for m in methods
-    }
-    needs_gray = any(descriptor.needs_gray for descriptor, _, _ in described.values())
-    for start in range(0, len(frames), BLOCK):
-        images = []
-        for item in frames[start : start + BLOCK]:
-            with decode.measure():
-                gray = item.dataset.gray(item.index) if needs_gray else None
-                images.append((item.dataset.frame(item.index), gray))
-        for descriptor, cost, values in described.values():
-            for frame, gray in images:
-                with cost.measure():
-                    found = descriptor.describe(frame, gray)
-                bytes_ = found.astype(np.uint8)
-                values.append(bytes_ if np.array_equal(bytes_, found) else found)
-        on_progress("Frames", start + len(images), len(frames))
-    return decode, described
+def _methods(datasets: Sequence[Dataset]) -> tuple[list[Method], dict[str, str]]:
+    """Return the methods that the sequences have images for, and why others are left out."""
+    dark = [dataset.sequence for dataset in datasets if dataset.gray(0) is None]
+    if not dark:
+        return list(METHODS), {}
+    why = f"no colour images in {', '.join(dark)}"
+    left_out = {m.name: why for m in METHODS if m.plugin != "bof"}
+    return [m for m in METHODS if m.name not in left_out], left_out
 
 
 def _measure(
-    frames: Sequence[_Frame],
-    method: Method,
-    descriptor: Descriptor,
-    extraction: Cost,
-    described: list[NDArray[Any]],
-    *,
-    n_words: int,
-    seed: int,
+    frames: Sequence[BenchFrame], method: Method, described: Described, *, n_words: int, seed: int
 ) -> tuple[dict[str, Any], list[Bag]]:
     """Return a column of the tables, and the bags of all frames."""
-    one, codebook, represent, training, classification = (Cost() for _ in range(5))
-    middle = frames[len(frames) // 2]
-    frame, gray = middle.dataset.frame(middle.index), middle.dataset.gray(middle.index)
-    for _ in range(N_REPEATS):
-        with one.measure():
-            descriptor.describe(frame, gray)
-
-    values = [_numbers(found, descriptor) for found in described]
-    samples = np.concatenate(values)
-    if len(samples) > method.max_samples:
-        chosen = np.random.default_rng(seed).choice(len(samples), method.max_samples, False)
-        samples = samples[np.sort(chosen)]
+    codebook, lookup, weighing, bagging = Cost(), Cost(), Cost(), Cost()
+    samples = described.samples(method.max_samples, seed)
     with codebook.measure():
         vocabulary = Vocabulary(n_words=n_words, seed=seed).fit(samples)
-
-    with represent.measure():
-        counts = count_words([vocabulary.lookup(found) for found in values], n_words)
+    words = []
+    for found in described.values:
+        values = described.numbers(found)
+        with lookup.measure():
+            words.append(vocabulary.lookup(values))
+    with weighing.measure():
+        counts = count_words(words, n_words)
         tf_idf = TfIdf().fit(counts)
         matrix = tf_idf.transform(counts)
-    labels = np.array([item.label for item in frames])
-    with training.measure():
-        classifier = SceneClassifier(seed=seed).fit(matrix, labels)
-    with classification.measure():
-        classifier.predict(matrix)
+    bags = []
+    for of_frame in words:
+        with bagging.measure():
+            bags.append(tf_idf.bag(of_frame))
+    training, classification, classifier = _classify(frames, matrix, seed)
 
-    bag_cost, bags = Cost(), []
-    for found in values:
-        with bag_cost.measure():
-            bags.append(tf_idf.bag(vocabulary.lookup(found)))
-    descriptor_bytes = sum(_stored_bytes(found, descriptor) for found in described)
+    one, extraction, represent = described.one, described.all, lookup + weighing
     processes = {
         1: Cost(one.cpu_s / N_REPEATS, one.wall_s / N_REPEATS),
         2: extraction,
@@ -216,46 +159,77 @@ def _measure(
         "process_cpu_s": {str(k): cost.cpu_s for k, cost in processes.items()},
         "process_wall_s": {str(k): cost.wall_s for k, cost in processes.items()},
         "describe_ms": extraction.median_ms,
-        "bag_ms": bag_cost.median_ms,
-        "descriptors": sum(map(len, values)),
+        "bag_ms": 1e3 * float(np.median(np.add(lookup.calls_s, bagging.calls_s))),
+        "descriptors": len(described),
         "samples": len(samples),
-        "descriptor_bytes": descriptor_bytes,
+        "words": n_words,
+        "descriptor_bytes": described.nbytes,
         "bag_bytes": matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes,
         "codebook_bytes": vocabulary.words_.nbytes + tf_idf.idf_.nbytes,
         "classifier_bytes": len(classifier_bytes(classifier)),
     }
     if method.plugin == "bof":
-        packed = [pack(found) for found in values]
-        column["packed_bytes"] = sum(map(len, packed))
-        again = [vocabulary.lookup(unpack(data)) for data in packed]
-        column["packed_words_kept"] = float(
-            np.mean(np.concatenate(again) == np.concatenate([vocabulary.lookup(v) for v in values]))
-        )
-        packed_bags = [tf_idf.bag(words) for words in again]
-        for key, kept in (("recall", bags), ("packed_recall", packed_bags)):
-            column[key] = _recall(frames, kept, n_words)
+        column["recall"] = _recall(frames, bags, n_words)
+        column |= _measure_packed(frames, described, vocabulary, tf_idf, words)
     return column, bags
 
 
-def _numbers(found: NDArray[Any], descriptor: Descriptor) -> NDArray[np.float32]:
-    """Return descriptors as k-means takes them."""
-    values = np.unpackbits(found, axis=1) if descriptor.is_binary else found
-    return values.astype(np.float32)
+def _classify(
+    frames: Sequence[BenchFrame], matrix: Any, seed: int
+) -> tuple[Cost, Cost, SceneClassifier]:
+    training, classification = Cost(), Cost()
+    labels = np.array([frame.label for frame in frames])
+    with training.measure():
+        classifier = SceneClassifier(seed=seed).fit(matrix, labels)
+    with classification.measure():
+        classifier.predict(matrix)
+    return training, classification, classifier
 
 
-def _stored_bytes(found: NDArray[Any], descriptor: Descriptor) -> int:
-    """Return the size of descriptors as the method gives them: bits, or float32."""
-    return found.size * (1 if descriptor.is_binary else 4)
+def _measure_packed(
+    frames: Sequence[BenchFrame],
+    described: Described,
+    vocabulary: Vocabulary,
+    tf_idf: TfIdf,
+    words: Sequence[NDArray[np.int32]],
+) -> dict[str, Any]:
+    """Return the size of packed descriptors, and what packing changes."""
+    packed = [pack(described.numbers(found)) for found in described.values]
+    n_values = vocabulary.words_.shape[1]
+    again = [vocabulary.lookup(unpack(data, n_values=n_values)) for data in packed]
+    return {
+        "packed_bytes": sum(map(len, packed)),
+        "packed_words_kept": float(np.mean(np.concatenate(again) == np.concatenate(words))),
+        "packed_recall": _recall(frames, [tf_idf.bag(found) for found in again], len(tf_idf.idf_)),
+    }
 
 
 def _recall(
-    frames: Sequence[_Frame], bags: Sequence[Bag], n_words: int
+    frames: Sequence[BenchFrame], bags: Sequence[Bag], n_words: int
 ) -> dict[str, float | None] | None:
     """Return the recall of each ``QUERY_EVERY``-th frame of one sequence with ground truth."""
     dataset = frames[0].dataset
     groundtruth = dataset.groundtruth()
-    if groundtruth is None or any(item.dataset is not dataset for item in frames):
+    if groundtruth is None or any(frame.dataset is not dataset for frame in frames):
         return None
     every = QUERY_EVERY if len(frames) == len(dataset) else 1
-    indices = [item.index for item in frames[::every]]
+    indices = [frame.index for frame in frames[::every]]
     return measure_recall(bags[::every], indices, groundtruth, n_words)
+
+
+def _increases(columns: dict[str, dict[str, Any]]) -> dict[str, dict[str, dict[str, float | None]]]:
+    """Return by how many percent SIFT and ORB take more than BOF (table 8), by process."""
+    return {
+        f"{initial} to {final}": {
+            key.removeprefix("process_").removesuffix("_s") + "_percent": {
+                process: 100.0 * (columns[final][key][process] - before) / before
+                if before
+                else None
+                for process, before in columns[initial][key].items()
+            }
+            for key in ("process_cpu_s", "process_wall_s")
+        }
+        for final in ("SIFT", "ORB")
+        for initial in ("BOF 3 layers", "BOF 20 layers")
+        if initial in columns and final in columns
+    }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -39,7 +40,7 @@ def bench(
         list[Path], typer.Option("--data", help="A sequence; several are a class each.")
     ],
     n_frames: Annotated[
-        int | None, typer.Option("--frames", min=10, help="So many of each, evenly spaced.")
+        int | None, typer.Option("--frames", min=4, help="So many of each, evenly spaced.")
     ] = None,
     n_words: Annotated[int, typer.Option("--words", min=2, help="Of the codebooks.")] = 1024,
     index_sizes: Annotated[
@@ -53,31 +54,40 @@ def bench(
     """Measure what BOF costs beside SIFT and ORB: CPU time, memory, queries (one thread)."""
     from slam_bof import registry
     from slam_bof.bench import run_bench
-    from slam_bof.cli.console import Bar, print_json
-    from slam_bof.errors import SlamBofError
+    from slam_bof.cli.console import print_json
 
     datasets = [registry.open_dataset(path) for path in data]
-    with Bar("Bench", quiet=quiet) as bar:
-        try:
-            figures = run_bench(
-                datasets,
-                n_frames=n_frames,
-                n_words=n_words,
-                index_sizes=index_sizes or (10_000, 1_000_000),
-                seed=seed,
-                on_progress=_shower(bar),
-            )
-        except ValueError as error:
-            names = ", ".join(map(str, data))
-            raise SlamBofError(f"{names}: too few frames or too plain: {error}") from error
+    with _Bars(quiet=quiet) as bars:
+        figures = run_bench(
+            datasets,
+            n_frames=n_frames,
+            n_words=n_words,
+            index_sizes=index_sizes or (10_000, 1_000_000),
+            seed=seed,
+            on_progress=bars.show,
+        )
     if as_json:
         print_json(figures)
     else:
         _print(figures)
 
 
-def _shower(bar: Bar) -> Any:
-    return lambda what, done, total: bar.show(done, total, what)
+class _Bars(ExitStack):
+    """A progress bar for each thing that is done, one after the other."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        super().__init__()
+        self._quiet = quiet
+        self._bars: dict[str, Bar] = {}
+
+    def show(self, what: str, done: int, total: int) -> None:
+        """Tell how far it has come."""
+        from slam_bof.cli.console import Bar
+
+        if what not in self._bars:
+            self.close()
+            self._bars[what] = self.enter_context(Bar(what, quiet=self._quiet, live=False))
+        self._bars[what].show(done, total)
 
 
 def _print(figures: dict[str, Any]) -> None:
@@ -97,22 +107,19 @@ def _print(figures: dict[str, Any]) -> None:
     for name, why in figures["left_out"].items():
         typer.echo(f"{name} is left out: {why}.")
 
-    cpu = {name: methods[name]["process_cpu_s"] for name in names}
-    wall = {name: methods[name]["process_wall_s"] for name in names}
-    rows = [
-        [process, *(t[name][process[0]] for name in names for t in (cpu, wall))]
-        for process in PROCESSES
-    ]
-    columns = [f"{name} {kind}" for name in names for kind in ("CPU s", "real s")]
-    print_table(["process", *columns], rows, title="Table 7: time")
-    if "SIFT" in methods:
+    times = {n: (methods[n]["process_cpu_s"], methods[n]["process_wall_s"]) for n in names}
+    print_table(
+        ["CPU s / real s", *names],
+        [[what, *(_pair(times[name], what[0], 3) for name in names)] for what in PROCESSES],
+        title="Table 7: time",
+    )
+    increases = figures["increases"]
+    if increases:
+        shares = [(pair["cpu_percent"], pair["wall_percent"]) for pair in increases.values()]
         print_table(
-            ["process", "B-S 3 CPU %", "B-S 20 CPU %"],
-            [
-                [process, *(_increase(cpu, bof, process[0]) for bof in names[:2])]
-                for process in PROCESSES
-            ],
-            title="Table 8: increase from BOF to SIFT",
+            ["CPU % / real %", *increases],
+            [[what, *(_pair(share, what[0], 0) for share in shares)] for what in PROCESSES],
+            title="Table 8: increase",
         )
     print_table(
         ["MB", *names],
@@ -135,6 +142,7 @@ def _print_frames(figures: dict[str, Any], methods: dict[str, dict[str, Any]]) -
         ["describe, CPU ms (median)", *(methods[name]["describe_ms"] for name in names)],
         ["bag of words, CPU ms (median)", *(methods[name]["bag_ms"] for name in names)],
         ["codebook, samples", *(methods[name]["samples"] for name in names)],
+        ["codebook, words", *(methods[name]["words"] for name in names)],
         [
             "descriptors packed, bytes",
             *(_scaled(methods[n].get("packed_bytes"), 1 / n_frames) for n in names),
@@ -150,7 +158,7 @@ def _print_frames(figures: dict[str, Any], methods: dict[str, dict[str, Any]]) -
             ],
         ]
     for key, what in (("recall", "recall@{}"), ("packed_recall", "recall@{} when packed")):
-        if methods[names[0]].get(key):
+        if any(methods[name].get(key) for name in names):
             rows += [
                 [what.format(k), *((methods[n].get(key) or {}).get(k) for n in names)]
                 for k in ("1", "5", "10")
@@ -166,10 +174,10 @@ def _print_frames(figures: dict[str, Any], methods: dict[str, dict[str, Any]]) -
     )
 
 
-def _increase(cpu: dict[str, dict[str, float]], name: str, process: str) -> float | None:
-    """Return by how many percent SIFT takes more."""
-    initial = cpu[name][process]
-    return 100.0 * (cpu["SIFT"][process] - initial) / initial if initial else None
+def _pair(columns: tuple[dict[str, Any], dict[str, Any]], process: str, digits: int) -> str:
+    """Return the CPU's and the real figure of a process."""
+    values = [column[process] for column in columns]
+    return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in values)
 
 
 def _scaled(value: float | None, factor: float) -> float | None:

@@ -48,11 +48,16 @@ def print_table(
 
 
 class Bar:
-    """A progress bar on stderr; without a terminal a line for each tenth, or nothing at all."""
+    """A progress bar on stderr; without a terminal a line for each tenth, or nothing at all.
 
-    def __init__(self, what: str, *, quiet: bool = False) -> None:
+    One that is not ``live`` is drawn only when it is told of progress: no thread of its own
+    takes time from what is being measured.
+    """
+
+    def __init__(self, what: str, *, quiet: bool = False, live: bool = True) -> None:
         self._console = Console(stderr=True, quiet=quiet, highlight=False, soft_wrap=True)
         self._what = what
+        self._live = live
         self._progress = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -62,6 +67,7 @@ class Bar:
             TextColumn("{task.fields[note]}"),
             console=self._console,
             disable=quiet or not self._console.is_terminal,
+            auto_refresh=live,
         )
         self._task = self._progress.add_task(what, total=None, note="")
         self._told = 0
@@ -82,7 +88,9 @@ class Bar:
 
     def show(self, done: int, total: int, note: str = "") -> None:
         """Tell how far the work has come."""
-        self._progress.update(self._task, completed=done, total=total, note=note)
+        self._progress.update(
+            self._task, completed=done, total=total, note=note, refresh=not self._live
+        )
         tenth = 10 * done // total if total else 10
         if not self._console.is_terminal and tenth > self._told:
             self._told = tenth
