@@ -74,15 +74,18 @@ class Dataset(Protocol):
 
 @runtime_checkable
 class Descriptor(Protocol):
-    """Describes what a frame shows by local features, which visual words are learnt of."""
+    """Describes what a frame shows, by many local features or by one row for all of it."""
 
     needs_gray: ClassVar[bool]
     """Whether it looks at the grey image; without, depth is all it needs."""
     is_binary: ClassVar[bool]
     """Whether values are bits packed in bytes."""
+    comparison: ClassVar[str]
+    """How frames are compared: ``bag`` of words learnt of local features; or, of one row a
+    frame, ``cosine``, ``l1`` (mean absolute difference) or ``equal`` (share of equal values)."""
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[Any]:
-        """Return the descriptors, (M, D) float32 or (M, D / 8) uint8, M = 0 if there are none."""
+        """Return the descriptors, (M, D) or (M, D / 8) uint8, M = 0 if there are none."""
 
 
 @runtime_checkable

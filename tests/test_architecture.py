@@ -19,7 +19,7 @@ _ROWS = """
     scenes keyframes loops covisibility consistency verification model
     schema rows store queries
     registry config slam mapping
-    evaluation metrics synthetic training bench
+    evaluation recognition metrics synthetic training bench retrieval
     figures page report runs run cli
 """
 ORDER = _ROWS.split()

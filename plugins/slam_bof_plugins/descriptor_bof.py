@@ -19,6 +19,7 @@ class BofDescriptor:
     Params = PlaceParams
     needs_gray: ClassVar[bool] = False
     is_binary: ClassVar[bool] = False
+    comparison: ClassVar[str] = "bag"
 
     def __init__(self, params: PlaceParams) -> None:
         self._params = params

@@ -32,6 +32,7 @@ class SiftDescriptor:
     Params = SiftParams
     needs_gray: ClassVar[bool] = True
     is_binary: ClassVar[bool] = False
+    comparison: ClassVar[str] = "bag"
 
     def __init__(self, params: SiftParams) -> None:
         self._sift = cv2.SIFT.create(nfeatures=params.n_features)
@@ -47,6 +48,7 @@ class OrbDescriptor:
     Params = OrbParams
     needs_gray: ClassVar[bool] = True
     is_binary: ClassVar[bool] = True
+    comparison: ClassVar[str] = "bag"
 
     def __init__(self, params: OrbParams) -> None:
         self._orb = cv2.ORB.create(nfeatures=params.n_features)

@@ -9,6 +9,7 @@ import typer
 from typer.core import TyperGroup
 
 from slam_bof.cli.benching import bench
+from slam_bof.cli.evaluating import evaluate
 from slam_bof.cli.maps import export, query, report
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
@@ -57,6 +58,7 @@ app = typer.Typer(
 )
 for command in (demo, run, query, report, export, bench, plugins, config, doctor, version):
     app.command()(command)
+app.add_typer(evaluate, name="evaluate")
 
 
 def main() -> None:

@@ -3,14 +3,18 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
-from slam_bof import ports, registry
+from slam_bof import ports, registry, se3
 from slam_bof.places import PlaceParams, descriptors
 from slam_bof.types import DepthFrame
 
 FRAME = DepthFrame(0.0, box_room_depth_mm(CAMERA, np.eye(4)), CAMERA)
 
 
-@pytest.fixture(params=["bof", "orb", "sift"])
+LOCAL = ["bof", "orb", "sift"]
+GLOBAL = ["ferns", "occupancy", "thumbnail"]
+
+
+@pytest.fixture(params=LOCAL + GLOBAL)
 def descriptor(request):
     return registry.build("descriptors", request.param)
 
@@ -25,14 +29,18 @@ def test_contract(descriptor):
     found = descriptor.describe(FRAME, speckle(0))
     assert found.ndim == 2
     assert len(found) > 0
-    assert found.dtype == (np.uint8 if descriptor.is_binary else np.float32)
+    assert descriptor.comparison in ("bag", "cosine", "l1", "equal")
+    if descriptor.comparison != "bag":
+        assert len(found) == 1
     np.testing.assert_array_equal(found, descriptor.describe(FRAME, speckle(0)))
 
 
 def test_nothing_seen_gives_no_descriptors(descriptor):
     blind = DepthFrame(0.0, np.zeros_like(FRAME.depth), CAMERA)
     nothing = descriptor.describe(blind, np.zeros((240, 320), np.uint8))
-    assert nothing.shape == (0, descriptor.describe(FRAME, speckle(0)).shape[1])
+    n_values = descriptor.describe(FRAME, speckle(0)).shape[1]
+    assert nothing.shape == (0 if descriptor.comparison == "bag" else 1, n_values)
+    assert np.isfinite(nothing).all()
 
 
 def test_gray_is_asked_for_where_it_is_needed(descriptor):
@@ -49,3 +57,27 @@ def test_options_reach_the_descriptor():
     layers = registry.build("descriptors", "bof", {"layers": {"n_layers": 3}})
     params = PlaceParams.model_validate({"layers": {"n_layers": 3}})
     np.testing.assert_array_equal(layers.describe(FRAME, None), descriptors(FRAME, params))
+
+
+def test_a_thumbnail_is_the_depth_in_metres():
+    frame = DepthFrame(0.0, np.full_like(FRAME.depth, 2500), CAMERA)
+    thumbnail = registry.build("descriptors", "thumbnail").describe(frame, None)
+    np.testing.assert_allclose(thumbnail, 2.5, rtol=1e-6)
+
+
+def test_occupancy_forgives_a_small_step_more_than_a_large_one():
+    occupancy = registry.build("descriptors", "occupancy")
+    near, step, far = (
+        occupancy.describe(DepthFrame(0.0, box_room_depth_mm(CAMERA, T), CAMERA), None)[0]
+        for T in (se3.exp(np.array([0, 0, 0, x, 0, 0])) for x in (0.0, 0.1, 0.6))
+    )
+    assert near @ step > near @ far
+
+
+def test_ferns_ask_the_same_questions_for_a_seed():
+    first, again, other = (
+        registry.build("descriptors", "ferns", {"seed": seed}).describe(FRAME, None)
+        for seed in (1, 1, 2)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (first != other).any()

@@ -1,0 +1,88 @@
+"""``slam-bof evaluate``: how often a description finds the place again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from slam_bof.cli.options import JSON, QUIET
+
+__all__ = ["evaluate"]
+
+evaluate = typer.Typer(help="Judge descriptions of frames by ground truth.", no_args_is_help=True)
+
+
+@evaluate.callback()
+def _group() -> None:
+    """Judge descriptions of frames by ground truth."""
+
+
+@evaluate.command()
+def places(
+    sequences: Annotated[list[Path], typer.Argument(help="Sequences with ground truth.")],
+    descriptors: Annotated[
+        str, typer.Option(help="Plug-ins by name, with commas between, or all.")
+    ] = "all",
+    train: Annotated[
+        list[Path] | None, typer.Option(help="A sequence to learn visual words of.")
+    ] = None,
+    every: Annotated[int, typer.Option(min=1, help="Each so many frames asks and answers.")] = 5,
+    min_age: Annotated[int, typer.Option(min=1, help="Frames an answer is older.")] = 101,
+    n_words: Annotated[int, typer.Option("--words", min=2, help="Of each vocabulary.")] = 1024,
+    seed: Annotated[int, typer.Option(min=0, help="Of the vocabularies.")] = 0,
+    as_json: JSON = False,
+    quiet: QUIET = False,
+) -> None:
+    """Print recall, precision and cost of place recognition, by pose and by overlap."""
+    from slam_bof import registry
+    from slam_bof.cli.console import Bar, print_json
+    from slam_bof.recognition import ProtocolParams
+    from slam_bof.retrieval import evaluate_places
+
+    names = registry.names("descriptors")
+    chosen = names if descriptors == "all" else [name.strip() for name in descriptors.split(",")]
+    for name in chosen:
+        registry.load("descriptors", name)
+    with Bar("Places", quiet=quiet) as bar:
+        rows = evaluate_places(
+            [registry.open_dataset(path) for path in sequences],
+            chosen,
+            training=[registry.open_dataset(path) for path in train or []],
+            params=ProtocolParams(every=every, min_age_frames=min_age),
+            n_words=n_words,
+            seed=seed,
+            on_progress=lambda what, done, total: bar.show(done, total, what),
+        )
+    if as_json:
+        print_json(rows)
+    else:
+        _print(rows)
+
+
+def _print(rows: list[dict[str, Any]]) -> None:
+    from slam_bof.cli.console import print_table
+
+    judged = [row for row in rows if "left_out" not in row]
+    for kind in ("pose", "overlap"):
+        table = []
+        for row in judged:
+            figures = row[kind]
+            shares: list[object] = [None] * 6
+            if figures:
+                shares = [
+                    *figures["recall_at"].values(),
+                    figures["average_precision"],
+                    figures["recall_at_full_precision"],
+                ]
+            n_queries = figures["n_queries"] if figures else 0
+            cost = (row["describe_ms"], round(row["bytes_per_frame"]))
+            table.append([row["sequence"], row["descriptor"], n_queries, *shares, *cost])
+        columns = ("R@1", "R@5", "R@10", "R@20", "AP", "recall at P = 1", "CPU ms", "bytes")
+        print_table(
+            ("sequence", "descriptor", "queries", *columns), table, title=f"Truth by {kind}"
+        )
+    for row in rows:
+        if "left_out" in row:
+            typer.echo(f"{row['sequence']}: {row['descriptor']} is left out: {row['left_out']}.")
