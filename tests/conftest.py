@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slam_bof.synthetic import KINECT, Scene3D, make_room, sense
 from slam_bof.synthetic.furnisher import distance_to_boxes
 from slam_bof.synthetic.rooms import Room
+from slam_bof.synthetic.writer import write_sequence
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -85,3 +86,22 @@ def standpoint(room: Room) -> tuple[float, float]:
     free = places[distance_to_boxes(places, room.boxes).min(axis=1) > 0.3]
     off_m = np.linalg.norm(free[:, :2] - [width / 2, depth / 2], axis=1)
     return tuple(free[int(np.argmin(off_m))][:2])
+
+
+@pytest.fixture(scope="session")
+def write_turn(room: Room, standpoint: tuple[float, float]) -> Callable[..., None]:
+    """Write what a level camera sees of the room, in 7-Scenes layout, at each yaw (and x)."""
+    scene = Scene3D(room.mesh)
+
+    def write(folder: Path, yaws: list[float], beside_m: list[float] | None = None) -> None:
+        poses = np.tile(np.eye(4), (len(yaws), 1, 1))
+        for pose, yaw, x in zip(poses, yaws, beside_m or [0.0] * len(yaws), strict=True):
+            c, s = np.cos(yaw), np.sin(yaw)
+            pose[:3] = [
+                [s, 0, c, standpoint[0] + x],
+                [-c, 0, s, standpoint[1]],
+                [0, -1, 0, 1.3],
+            ]
+        write_sequence(folder, scene, poses)
+
+    return write

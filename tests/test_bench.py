@@ -19,24 +19,14 @@ N_FRAMES = 12
 
 
 @pytest.fixture(scope="module")
-def sequence(tmp_path_factory, look, standpoint):
+def sequence(tmp_path_factory, write_turn):
     """Views of a room in 7-Scenes layout, with speckle for colour."""
     folder = tmp_path_factory.mktemp("bench") / "room" / "seq-01"
-    folder.mkdir(parents=True)
+    write_turn(folder, [0.4 * number for number in range(N_FRAMES)])
     for number in range(N_FRAMES):
-        yaw = 0.4 * number
-        T_world_camera = np.eye(4)
-        T_world_camera[:3, :3] = [
-            [np.sin(yaw), 0, np.cos(yaw)],
-            [-np.cos(yaw), 0, np.sin(yaw)],
-            [0, -1, 0],
-        ]
-        T_world_camera[:3, 3] = [*standpoint, 1.3]
-        stem = folder / f"frame-{number:06d}"
-        cv2.imwrite(f"{stem}.depth.png", look(T_world_camera, number).depth)
         noise = np.random.default_rng(number).integers(0, 256, (60, 80, 3)).astype(np.uint8)
-        cv2.imwrite(f"{stem}.color.png", cv2.resize(noise, (320, 240)))
-        np.savetxt(f"{stem}.pose.txt", T_world_camera)
+        file = folder / f"frame-{number:06d}.color.png"
+        cv2.imwrite(str(file), cv2.resize(noise, (320, 240)))
     return folder
 
 

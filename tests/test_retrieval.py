@@ -2,7 +2,6 @@
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -14,21 +13,12 @@ N_ROUND = 12
 
 
 @pytest.fixture(scope="module")
-def twice_round(tmp_path_factory, look, standpoint):
+def twice_round(tmp_path_factory, write_turn):
     folder = tmp_path_factory.mktemp("retrieval") / "room" / "seq-01"
-    folder.mkdir(parents=True)
-    for number in range(2 * N_ROUND):
-        yaw = 2 * np.pi * number / N_ROUND
-        T_world_camera = np.eye(4)
-        T_world_camera[:3, :3] = [
-            [np.sin(yaw), 0, np.cos(yaw)],
-            [-np.cos(yaw), 0, np.sin(yaw)],
-            [0, -1, 0],
-        ]
-        T_world_camera[:3, 3] = [standpoint[0] + 0.02 * (number >= N_ROUND), standpoint[1], 1.3]
-        stem = folder / f"frame-{number:06d}"
-        cv2.imwrite(f"{stem}.depth.png", look(T_world_camera, number).depth)
-        np.savetxt(f"{stem}.pose.txt", T_world_camera)
+    yaws = [2 * np.pi * number / N_ROUND for number in range(2 * N_ROUND)]
+    write_turn(folder, yaws, [0.0] * N_ROUND + [0.02] * N_ROUND)
+    for file in folder.glob("*.color.png"):
+        file.unlink()
     return folder
 
 
