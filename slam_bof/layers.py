@@ -152,13 +152,11 @@ def layer_images(
     columns = _pixels(x.take(order), counts, params)
     rows = _pixels(y.take(order), counts, params)
     first = (layers * side + margin_px) * side + margin_px
-    pixels = rows * np.int32(side)
-    pixels += columns
-    pixels += np.repeat(first.astype(np.int32), counts)
+    pixels = rows * np.int32(side) + columns + np.repeat(first, counts)
     if params.pixel_m is not None:
         size = np.uint32(params.resolution_px)  # which no negative number is below
         pixels = pixels[(columns.view(np.uint32) < size) & (rows.view(np.uint32) < size)]
-    images.reshape(-1)[pixels.astype(np.intp)] = 1
+    images.reshape(-1)[pixels] = 1
     return images
 
 
