@@ -33,6 +33,7 @@ COLORS = {
     "text": "#23282f",
     "grid": "#e8ebef",
 }
+PALETTE = ("#2f6fd6", "#d9822b", "#3a9a6a", "#c8423f", "#7a5cc0", "#8a6d4b", "#4aa3b8", "#6b7280")
 NAMES = {"groundtruth": "ground truth", "odometry": "odometry alone", "optimized": "with loops"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 HEIGHT_PX = 460
@@ -231,6 +232,29 @@ def draw_stages(stage_ms: Mapping[str, float]) -> Figure:
     )
     figure.update_yaxes(autorange="reversed")
     return figure.update_layout(height=80 + 34 * len(stage_ms), bargap=0.35, margin={"t": 16})
+
+
+def draw_precision_recall(curves: Mapping[str, Mapping[str, Array]]) -> Figure:
+    """Draw precision over recall (N, 2), by truth side by side, and by what is judged."""
+    figure = make_subplots(
+        1, len(curves), subplot_titles=[f"truth by {kind}" for kind in curves], shared_yaxes=True
+    )
+    names = sorted({name for by_name in curves.values() for name in by_name})
+    for column, by_name in enumerate(curves.values(), start=1):
+        for name, points in by_name.items():
+            figure.add_scatter(
+                x=points[:, 0],
+                y=points[:, 1],
+                name=name,
+                legendgroup=name,
+                showlegend=column == 1,
+                line={"color": PALETTE[names.index(name) % len(PALETTE)]},
+                row=1,
+                col=column,
+            )
+    figure.update_xaxes(title="recall", range=[0, 1])
+    figure.update_yaxes(title="precision", range=[0, 1.03])
+    return _clean(figure)
 
 
 def _figure(x_title: str, y_title: str) -> Figure:

@@ -41,13 +41,14 @@ class Recognition:
 
     ``average_precision`` and ``recall_at_full_precision`` are of each query's best answer,
     accepted from the highest score down: the latter is how many right ones come before the
-    first wrong one.
+    first wrong one. ``curve`` has recall and precision after each answer accepted.
     """
 
     n_queries: int
     recall_at: dict[int, float]
     average_precision: float
     recall_at_full_precision: float
+    curve: tuple[tuple[float, float], ...]
 
 
 def eligible(frame_indices: Sequence[int], params: ProtocolParams) -> NDArray[np.bool_]:
@@ -129,12 +130,14 @@ def judge(
     best_score = ranked[answered, best]
     right = truth[answered, best][np.argsort(-best_score, kind="stable")]
     precision = np.cumsum(right) / np.arange(1, len(right) + 1)
+    recall = np.cumsum(right) / asked.sum()
     n_before_wrong = len(right) if right.all() else int(right.argmin())
     return Recognition(
         n_queries=int(asked.sum()),
         recall_at={k: float(hits[:, :k].any(axis=1).mean()) for k in ks},
         average_precision=float((precision * right).sum() / asked.sum()),
         recall_at_full_precision=float(n_before_wrong / asked.sum()),
+        curve=tuple(zip(recall.tolist(), precision.tolist(), strict=True)),
     )
 
 

@@ -52,6 +52,18 @@ def test_words_can_be_learnt_of_other_sequences(twice_round):
     assert "sift is left out: no colour images in room/seq-01" in result.stdout
 
 
+def test_curves_are_written(twice_round, tmp_path):
+    file = tmp_path / "curves" / "places.html"
+    arguments = ("--every", 1, "--min-age", N_ROUND, "--descriptors", "ferns,thumbnail")
+    result = evaluate(twice_round, *arguments, "--curves", file, "--json")
+    assert result.exit_code == 0, result.output
+    assert "truth by overlap" in file.read_text("utf-8")
+    ferns, _ = json.loads(result.stdout)
+    curve = np.array(ferns["pose"]["curve"])
+    assert curve[-1, 0] == ferns["pose"]["recall_at"]["1"]
+    assert (np.diff(curve[:, 0]) >= 0).all()
+
+
 def refusal(*arguments):
     result = evaluate(*arguments)
     assert result.exit_code == 1, result.output

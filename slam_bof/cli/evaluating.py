@@ -11,6 +11,8 @@ from slam_bof.cli.options import JSON, QUIET
 
 __all__ = ["evaluate"]
 
+TRUTHS = ("pose", "overlap")
+
 evaluate = typer.Typer(help="Judge descriptions of frames by ground truth.", no_args_is_help=True)
 
 
@@ -32,6 +34,9 @@ def places(
     min_age: Annotated[int, typer.Option(min=1, help="Frames an answer is older.")] = 101,
     n_words: Annotated[int, typer.Option("--words", min=2, help="Of each vocabulary.")] = 1024,
     seed: Annotated[int, typer.Option(min=0, help="Of the vocabularies.")] = 0,
+    curves: Annotated[
+        Path | None, typer.Option(help="HTML file to write the precision-recall curves to.")
+    ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
@@ -55,17 +60,39 @@ def places(
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),
         )
+    if curves is not None:
+        _write_curves(rows, curves)
     if as_json:
         print_json(rows)
     else:
         _print(rows)
 
 
+def _write_curves(rows: list[dict[str, Any]], path: Path) -> None:
+    import numpy as np
+
+    from slam_bof.figures import draw_precision_recall
+
+    several = len({row["sequence"] for row in rows}) > 1
+    by_truth = {
+        kind: {
+            f"{row['descriptor']}, {row['sequence']}" if several else row["descriptor"]: np.array(
+                row[kind]["curve"]
+            )
+            for row in rows
+            if row.get(kind)
+        }
+        for kind in TRUTHS
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw_precision_recall(by_truth).write_html(path)
+
+
 def _print(rows: list[dict[str, Any]]) -> None:
     from slam_bof.cli.console import print_table
 
     judged = [row for row in rows if "left_out" not in row]
-    for kind in ("pose", "overlap"):
+    for kind in TRUTHS:
         table = []
         for row in judged:
             figures = row[kind]
