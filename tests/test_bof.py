@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from slam_bof.bof import BofParams, describe
+from slam_bof.contours import ContourParams, find_contours
 from slam_bof.types import Contours
 
 pixels = st.integers(-50, 300)
@@ -151,6 +152,33 @@ def test_degenerate_contours_are_defined():
     assert descriptors[0].tolist() == [0.0] * 8
     assert descriptors[1].tolist() == [1.0, 0.5, 0.0, 0.5, 1.0, 0.5, 0.0, 0.5]
     assert np.isfinite(descriptors[2]).all()
+
+
+def test_a_contour_that_touches_itself_is_defined():
+    # Two squares of one image that meet in a corner are followed as one contour.
+    image = np.zeros((40, 40), np.uint8)
+    image[5:15, 5:15] = image[15:25, 15:25] = 1
+    (contour,), _ = cv2.findContours(image, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    for sampling in ("arc", "angle"):
+        descriptor = describe(contours_of(contour[:, 0]), BofParams(sampling=sampling))[0]
+        assert np.isfinite(descriptor).all()
+        # Half a turn takes the shape to itself.
+        halves = descriptor.reshape(2, -1)
+        np.testing.assert_allclose(halves[0], halves[1], atol=0.05)
+    # A bow tie's areas cancel out: its centroid is that of the line it draws.
+    bow_tie = describe(contours_of([[0, 0], [20, 20], [20, 0], [0, 20]]), BofParams())[0]
+    assert np.isfinite(bow_tie).all()
+    assert bow_tie.max() == 1.0
+    assert bow_tie.min() < 0.02
+
+
+def test_a_contour_on_the_images_border_is_like_any_other():
+    shape = np.zeros((2, 60, 60), np.uint8)
+    shape[0, :30, :40] = 1  # in the corner
+    shape[1, 15:45, 10:50] = 1  # in the middle
+    found = find_contours(shape, ContourParams())
+    corner, middle = describe(found, BofParams())
+    np.testing.assert_allclose(corner, middle, atol=1e-6)
 
 
 def test_descriptors_do_not_depend_on_their_neighbours():

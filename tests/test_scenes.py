@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from scipy import sparse
 from sklearn.base import clone
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from slam_bof.scenes import SceneClassifier
 from slam_bof.types import Bag
+from slam_bof.vocabulary import TfIdf
 
 N_WORDS = 60
 
@@ -99,3 +102,14 @@ def test_too_few_classes_or_samples_are_refused(labels):
     bags, _, _ = rooms(0, 6)
     with pytest.raises(ValueError, match="at least 2 classes of at least 2 samples each, got"):
         SceneClassifier().fit(bags, labels)
+
+
+def test_weights_and_classifier_make_a_pipeline():
+    bags, labels, _ = rooms(0)
+    counts = np.round(1000 * bags)
+    pipeline = make_pipeline(TfIdf(), SceneClassifier(n_folds=3))
+    fitted = clone(pipeline).fit(counts[:180], labels[:180])
+    assert fitted.score(counts[180:], labels[180:]) > 0.8
+    search = GridSearchCV(pipeline, {"sceneclassifier__C": [0.1, 1.0]}, cv=3)
+    search.fit(counts[:180], labels[:180])
+    assert search.best_params_["sceneclassifier__C"] in (0.1, 1.0)
