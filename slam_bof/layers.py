@@ -13,6 +13,7 @@ from slam_bof.types import Array, Params
 __all__ = ["LayerParams", "layer_images", "layer_index"]
 
 OPTICAL_AXIS = (0.0, 0.0, 1.0)
+MAX_PIXELS = 2**30
 
 
 class LayerParams(Params):
@@ -51,6 +52,16 @@ class LayerParams(Params):
         if axis != "gravity":
             _unit(np.asarray(axis))
         return axis
+
+    @model_validator(mode="after")
+    def _check_size(self) -> Self:
+        # Pixels are counted through all layers in 32 bits; half of them leaves room for margins.
+        if self.n_layers * self.resolution_px**2 > MAX_PIXELS:
+            raise ValueError(
+                f"n_layers images of resolution_px must have at most {MAX_PIXELS} pixels together, "
+                f"got {self.n_layers} of {self.resolution_px} x {self.resolution_px}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_rounding(self) -> Self:
@@ -152,11 +163,13 @@ def layer_images(
     columns = _pixels(x.take(order), counts, params)
     rows = _pixels(y.take(order), counts, params)
     first = (layers * side + margin_px) * side + margin_px
-    pixels = rows * np.int32(side) + columns + np.repeat(first, counts)
+    pixels = rows * np.int32(side)
+    pixels += columns
+    pixels += np.repeat(first.astype(np.int32), counts)
     if params.pixel_m is not None:
         size = np.uint32(params.resolution_px)  # which no negative number is below
         pixels = pixels[(columns.view(np.uint32) < size) & (rows.view(np.uint32) < size)]
-    images.reshape(-1)[pixels] = 1
+    images.reshape(-1)[pixels.astype(np.intp)] = 1
     return images
 
 

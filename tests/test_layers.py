@@ -159,5 +159,7 @@ def test_bad_arguments_are_refused():
         layer_images(np.zeros(3), LayerParams())
     with pytest.raises(ValidationError, match="axis must be a direction"):
         LayerParams(axis=(0.0, 0.0, 0.0))
+    with pytest.raises(ValidationError, match="got 60000 of 300 x 300"):
+        LayerParams(n_layers=60000)
     with pytest.raises(ValidationError, match="'nearest' is for layers without thickness_m"):
         LayerParams(rounding="nearest", thickness_m=0.1)
