@@ -78,14 +78,17 @@ class Vocabulary(ClusterMixin, BaseEstimator):
         with threadpool_limits(1), warnings.catch_warnings():
             # Fewer distinct descriptors than words is no fault of the caller's.
             warnings.simplefilter("ignore", ConvergenceWarning)
-            self._set_words(_means(X, self._cluster(X), self.n_words))
+            self._set_words(self._learn(X))
         self.labels_ = self._nearest(X)
         return self
 
-    def _cluster(self, X: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Return the cluster of each descriptor, found in their principal components."""
+    def _learn(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the words (n_words, D): clusters are found in the principal components."""
+        if len(X) == 1:  # no components
+            return X
         components = PCA(min(self.n_components, *X.shape), svd_solver="covariance_eigh")
-        reduced = np.ascontiguousarray(components.fit_transform(X), np.float32)
+        with np.errstate(invalid="ignore"):  # shares of a variance of zero, which nobody asks for
+            reduced = np.ascontiguousarray(components.fit_transform(X), np.float32)
         random = np.random.default_rng(self.seed)
         n_sampled = min(self.sample_per_word * self.n_words, len(X))
         sample = reduced[random.permutation(len(X))[:n_sampled]]
@@ -96,8 +99,9 @@ class Vocabulary(ClusterMixin, BaseEstimator):
         ):
             kmeans = KMeans(self.n_words, init=centres, n_init=1, max_iter=n_iterations)
             centres = kmeans.fit(points).cluster_centers_
-        clusters: NDArray[np.int32] = kmeans.labels_
-        return clusters
+        means, counts = _means(X, kmeans.labels_, self.n_words)
+        # Clusters that nobody is in stay where k-means left them.
+        return np.where(counts[:, None] > 0, means, components.inverse_transform(centres))
 
     def predict(self, X: NDArray[Any]) -> NDArray[np.int32]:
         """Return the nearest word of each descriptor: (M, D) to (M,) int32."""
@@ -133,14 +137,13 @@ class Vocabulary(ClusterMixin, BaseEstimator):
 
 def _means(
     X: NDArray[np.float32], clusters: NDArray[np.int32], n_clusters: int
-) -> NDArray[np.float32]:
-    """Return the mean of each cluster, (n_clusters, D)."""
+) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+    """Return the mean (n_clusters, D) and the size (n_clusters,) of each cluster."""
     members = sparse.csr_array(
         (np.ones(len(X), np.float32), clusters, np.arange(len(X) + 1)), (len(X), n_clusters)
     )
     counts = np.bincount(clusters, minlength=n_clusters)
-    means: NDArray[np.float32] = (members.T @ X) / np.maximum(counts, 1)[:, None]
-    return means
+    return (members.T @ X) / np.maximum(counts, 1)[:, None], counts
 
 
 @dataclass(eq=False, repr=False)

@@ -38,6 +38,18 @@ def test_scores_equal_brute_force(held, query):
     np.testing.assert_allclose(scores, expected, atol=1e-6)
 
 
+@given(st.lists(bags, min_size=1, max_size=20), bags)
+def test_scores_do_not_depend_on_when_bags_came(held, query):
+    one_by_one, afterwards = InvertedIndex(N_WORDS), InvertedIndex(N_WORDS)
+    for bag in held:
+        before = one_by_one.scores(query)
+        one_by_one.add(bag)
+        np.testing.assert_array_equal(one_by_one.scores(query)[:-1], before)
+        afterwards.add(bag)
+    np.testing.assert_array_equal(one_by_one.scores(query), afterwards.scores(query))
+    assert one_by_one.nbytes == afterwards.nbytes >= 8 * sum(len(bag.words) for bag in held)
+
+
 @given(bags, bags)
 def test_the_score_is_symmetric_and_one_for_itself(a, b):
     index = InvertedIndex(N_WORDS)

@@ -62,6 +62,31 @@ def test_too_few_descriptors_are_refused(descriptors):
         Vocabulary(n_words=401).fit(descriptors)
 
 
+def test_words_that_nobody_needs_are_among_the_descriptors():
+    distinct = 1 + np.random.default_rng(2).random((10, 12), dtype=np.float32)
+    vocabulary = Vocabulary(n_words=40).fit(np.repeat(distinct, 10, axis=0))
+    apart = np.linalg.norm(vocabulary.words_[:, None] - distinct, axis=2)
+    assert apart.min(axis=1).max() < 1e-5
+    assert apart.min(axis=0).max() < 1e-5
+
+
+@pytest.mark.parametrize("shape", [(50, 12), (1, 5)])
+def test_descriptors_all_alike_are_their_words(shape):
+    words = Vocabulary(n_words=min(8, shape[0])).fit(np.full(shape, 0.7)).words_
+    np.testing.assert_allclose(words, 0.7, rtol=1e-6)
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 20), st.integers(0, 3))
+def test_any_shape_gives_words_no_worse_than_one(n_words, n_more, n_values, n_decimals):
+    rng = np.random.default_rng(n_words + 41 * n_values)
+    X = rng.random((n_words + n_more, n_values)).round(n_decimals).astype(np.float32)
+    vocabulary = Vocabulary(n_words=n_words).fit(X)
+    assert vocabulary.words_.shape == (n_words, n_values)
+    np.testing.assert_array_equal(vocabulary.labels_, vocabulary.predict(X))
+    inertia = ((X - vocabulary.words_[vocabulary.labels_]) ** 2).sum()
+    assert inertia <= ((X - X.mean(axis=0)) ** 2).sum() * (1 + 1e-5) + 1e-6
+
+
 def test_idf_is_the_papers():
     counts = count_words([np.array(words) for words in ([0, 0, 1], [0, 2], [0])], n_words=4)
     expected = np.log([3 / 3, 3 / 1, 3 / 1, 3 / 1])  # word 3 counts as found in one frame
