@@ -148,8 +148,9 @@ def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
         chosen = [
             (c, t) for c, t in zip(candidates, times_s, strict=True) if c.decision == decision
         ]
-        for row, field in enumerate(("eta", "overlap"), start=1):
-            values = [getattr(c, field) for c, _ in chosen]
+        likeness = [c.score if np.isnan(c.eta) else c.eta for c, _ in chosen]
+        overlap = [c.overlap for c, _ in chosen]
+        for row, values in enumerate((likeness, overlap), start=1):
             figure.add_scatter(
                 x=[t for _, t in chosen],
                 # JSON has no infinity, and plotly leaves a None out.
@@ -165,7 +166,7 @@ def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
                 col=1,
             )
     figure.update_xaxes(title_text="time of the query keyframe (s)", row=2, col=1)
-    figure.update_yaxes(title_text="η (normalised score)", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="score; of bags, η", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="overlap of the clouds", rangemode="tozero", row=2, col=1)
     return figure.update_layout(height=520)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.stack import Stack
 from slam_bof.types import Bag
 
 __all__ = ["InvertedIndex"]
@@ -52,7 +53,7 @@ class InvertedIndex:
             postings = self._postings.get(word)
             if postings is not None:
                 # Of the ways to scatter, the one that takes 32-bit ids as they are.
-                np.add.at(scores, postings.ids(), np.minimum(postings.weights(), weight))
+                np.add.at(scores, postings.ids.rows, np.minimum(postings.weights.rows, weight))
         return np.minimum(scores, np.float32(1.0), out=scores)
 
     @property
@@ -68,33 +69,18 @@ class InvertedIndex:
 
 
 class _Postings:
-    """The bags that hold a word, and the weight it has in each.
+    """The bags that hold a word, and the weight it has in each."""
 
-    The arrays grow by an eighth, which wastes little and still copies seldom.
-    """
-
-    __slots__ = ("_ids", "_n", "_weights")
+    __slots__ = ("ids", "weights")
 
     def __init__(self) -> None:
-        self._n = 0
-        self._ids: NDArray[np.int32] = np.empty(4, np.int32)
-        self._weights: NDArray[np.float32] = np.empty(4, np.float32)
+        self.ids = Stack((), np.int32)
+        self.weights = Stack((), np.float32)
 
     def append(self, bag_id: int, weight: float) -> None:
-        if self._n == len(self._ids):
-            room = 4 + self._n // 8
-            self._ids = np.concatenate([self._ids, np.empty(room, np.int32)])
-            self._weights = np.concatenate([self._weights, np.empty(room, np.float32)])
-        self._ids[self._n] = bag_id
-        self._weights[self._n] = weight
-        self._n += 1
-
-    def ids(self) -> NDArray[np.int32]:
-        return self._ids[: self._n]
-
-    def weights(self) -> NDArray[np.float32]:
-        return self._weights[: self._n]
+        self.ids.append(bag_id)
+        self.weights.append(weight)
 
     @property
     def nbytes(self) -> int:
-        return self._ids.nbytes + self._weights.nbytes
+        return self.ids.nbytes + self.weights.nbytes

@@ -1,31 +1,38 @@
-"""Loop candidates from bags of words (paper, section 3.4).
+"""Loop candidates: which older keyframes may show the place that the newest one shows.
 
-For keyframe N and an older keyframe i, the score ``s(i, N)`` of their bags is divided by the
+By *views* (``recogniser``), the product's way, or by *bags* of words, the paper's (section 3.4):
+for keyframe N and an older keyframe i, the score ``s(i, N)`` of their bags is divided by the
 score against the keyframe about one second before N, which tells what a good score is worth
-here: ``eta(i, N) = s(i, N) / s(N - tau, N)``. The best are checked for contradicting scene
-labels and for time consistency. What is left open goes to geometric verification.
+here: ``eta(i, N) = s(i, N) / s(N - tau, N)``. Either way the best are checked for contradicting
+scene labels and for time consistency. What is left open goes to geometric verification.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slam_bof.index import InvertedIndex
-from slam_bof.types import Candidate, Keyframe, Params, Scene
+from slam_bof.recogniser import PlaceRecogniser, RecogniserParams
+from slam_bof.types import Candidate, DepthFrame, Keyframe, Params, Pose, Scene
 
-__all__ = ["LoopDetector", "LoopParams", "scene_agreement"]
+__all__ = ["Found", "LoopDetector", "LoopParams", "scene_agreement"]
 
 
 class LoopParams(Params):
     """The parameters of Table 10, and what the product adds to them."""
 
-    lower_threshold: float = Field(0.4, ge=0, description="eta below it: discarded")
-    normaliser_lag_s: float = Field(1.0, gt=0, description="tau, as a time")
-    min_normaliser: float = Field(0.05, ge=0, description="below it the keyframe is not judged")
+    by: Literal["views", "bags"] = "views"
+    lower_threshold: float = Field(0.4, ge=0, description="bags: eta below it: discarded")
+    normaliser_lag_s: float = Field(1.0, gt=0, description="bags: tau, as a time")
+    min_normaliser: float = Field(0.05, ge=0, description="bags: below it not judged")
+    min_seen: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
+    recogniser: RecogniserParams = RecogniserParams()
     tc: int = Field(3, ge=0, description="keyframes that the time consistency check runs over")
     tc_required: int = Field(1, ge=0, description="of which so many must agree")
     max_index_difference: int = Field(3, ge=0, description="keyframes apart that still agree")
@@ -34,52 +41,53 @@ class LoopParams(Params):
     min_scene_agreement: float = Field(0.2, ge=0, le=1, description="below it labels contradict")
 
 
-class LoopDetector:
-    """Finds, for each keyframe in turn, the older ones that may show the same place."""
+@dataclass(frozen=True, slots=True)
+class Found:
+    """The candidates of a keyframe, best first, and where recognition has the views already.
 
-    def __init__(self, params: LoopParams, n_words: int) -> None:
+    Candidates that fail a check have ``decision`` "rejected" and the reason; those still open
+    (``decision`` empty) are for geometric verification. ``guesses`` has ``T_match_query`` by
+    ``match_id``, of those that were aligned.
+    """
+
+    candidates: list[Candidate] = field(default_factory=list)
+    guesses: Mapping[int, Pose] = field(default_factory=dict)
+
+
+class LoopDetector:
+    """Finds, for each keyframe in turn, the older ones that may show the same place.
+
+    Parameters
+    ----------
+    params
+        By which means, and what a candidate needs.
+    n_words
+        Words of the vocabulary, for bags.
+    gravity_odom
+        (3,) roughly down in the odometry's frame, for views.
+    """
+
+    def __init__(
+        self, params: LoopParams, n_words: int, *, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)
+    ) -> None:
         self.params = params
-        self._index = InvertedIndex(n_words)
+        self._ranking: _Ranking = (
+            _Bags(params, n_words)
+            if params.by == "bags"
+            else _Views(params, PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom))
+        )
         self._keyframes: list[Keyframe] = []
         self._maxima: list[tuple[int, ...]] = []
 
-    def find(self, keyframe: Keyframe) -> list[Candidate]:
-        """Return the keyframe's candidates, best first, and remember the keyframe.
-
-        Those that fail a check come back with ``decision`` "rejected" and the reason; those
-        still open (``decision`` empty) are for geometric verification.
-        """
-        scores = self._index.scores(keyframe.bag)
-        candidates = self._rank(keyframe, scores)
-        candidates = [self._check(keyframe, candidate) for candidate in candidates]
-        self._maxima.append(tuple(c.match_id for c in candidates))
-        self._index.add(keyframe.bag)
+    def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
+        """Return the keyframe's candidates, and remember the keyframe."""
+        stamps_s = [k.stamp_s for k in self._keyframes]
+        n_old = np.searchsorted(stamps_s, keyframe.stamp_s - self.params.min_age_s, side="right")
+        found = self._ranking.rank(keyframe, frame, self._keyframes[: int(n_old)])
+        checked = [self._check(keyframe, candidate) for candidate in found.candidates]
+        self._maxima.append(tuple(c.match_id for c in checked))
         self._keyframes.append(keyframe)
-        return candidates
-
-    def _rank(self, keyframe: Keyframe, scores: NDArray[np.float32]) -> list[Candidate]:
-        """Return up to ``top_k`` maxima of eta, no two within ``max_index_difference``."""
-        p = self.params
-        stamps_s = np.array([k.stamp_s for k in self._keyframes])
-        n_old = int(np.searchsorted(stamps_s, keyframe.stamp_s - p.min_age_s, side="right"))
-        if n_old == 0:
-            return []
-        reference = np.abs(stamps_s - (keyframe.stamp_s - p.normaliser_lag_s)).argmin()
-        normaliser = float(scores[reference])
-        eligible = scores[:n_old].astype(np.float64)
-        ranked: list[Candidate] = []
-        for _ in range(p.top_k):
-            best = int(eligible.argmax())
-            if eligible[best] <= 0.0:
-                break
-            score = float(eligible[best])
-            eta = score / normaliser if normaliser > 0.0 else np.inf
-            ranked.append(
-                Candidate(keyframe.id, best, "bag", score=score, normaliser=normaliser, eta=eta)
-            )
-            apart = p.max_index_difference
-            eligible[max(0, best - apart) : best + apart + 1] = 0.0
-        return ranked
+        return replace(found, candidates=checked)
 
     def _check(self, keyframe: Keyframe, candidate: Candidate) -> Candidate:
         """Measure semantic agreement and time consistency, and reject what fails."""
@@ -91,11 +99,9 @@ class LoopDetector:
             ),
             n_consistent=self._count_consistent(candidate.match_id),
         )
-        if candidate.normaliser < p.min_normaliser:
-            reason = f"normaliser {candidate.normaliser:.3f} below {p.min_normaliser:g}: not judged"
-        elif candidate.eta < p.lower_threshold:
-            reason = f"eta {candidate.eta:.3f} below {p.lower_threshold:g}"
-        elif candidate.scene_agreement < p.min_scene_agreement:
+        if candidate.decision:
+            return candidate
+        if candidate.scene_agreement < p.min_scene_agreement:
             reason = (
                 f"scene labels contradict: agreement {candidate.scene_agreement:.2f} "
                 f"below {p.min_scene_agreement:g}"
@@ -117,6 +123,90 @@ class LoopDetector:
             any(abs(other - match_id) <= p.max_index_difference for other in maxima)
             for maxima in recent
         )
+
+
+class _Ranking(Protocol):
+    """A way to find what looks alike."""
+
+    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
+        """Return the best of the older keyframes, and remember this one."""
+
+
+class _Bags:
+    """The paper's: the maxima of eta."""
+
+    def __init__(self, params: LoopParams, n_words: int) -> None:
+        self._params = params
+        self._index = InvertedIndex(n_words)
+        self._stamps_s: list[float] = []
+
+    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
+        """Return up to ``top_k`` maxima of eta, no two within ``max_index_difference``."""
+        p = self._params
+        scores = self._index.scores(keyframe.bag)
+        self._index.add(keyframe.bag)
+        found = Found()
+        if older:
+            lag = np.abs(np.array(self._stamps_s) - (keyframe.stamp_s - p.normaliser_lag_s))
+            normaliser = float(scores[lag.argmin()])
+            for best in _maxima(scores[: len(older)], p):
+                score = float(scores[best])
+                eta = score / normaliser if normaliser > 0.0 else np.inf
+                candidate = Candidate(
+                    keyframe.id, best, "bag", score=score, normaliser=normaliser, eta=eta
+                )
+                found.candidates.append(self._judge(candidate))
+        self._stamps_s.append(keyframe.stamp_s)
+        return found
+
+    def _judge(self, candidate: Candidate) -> Candidate:
+        p = self._params
+        if candidate.normaliser < p.min_normaliser:
+            reason = f"normaliser {candidate.normaliser:.3f} below {p.min_normaliser:g}: not judged"
+        elif candidate.eta < p.lower_threshold:
+            reason = f"eta {candidate.eta:.3f} below {p.lower_threshold:g}"
+        else:
+            return candidate
+        return replace(candidate, decision="rejected", reason=reason)
+
+
+class _Views:
+    """The recogniser's: the maxima of what it ranks by, after aligning."""
+
+    def __init__(self, params: LoopParams, recogniser: PlaceRecogniser) -> None:
+        self._params = params
+        self._recogniser = recogniser
+
+    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
+        """Return up to ``top_k`` maxima of the score, no two within ``max_index_difference``."""
+        p = self._params
+        view_id = self._recogniser.add(frame, keyframe.T_odom_camera)
+        matches = {m.view_id: m for m in self._recogniser.recognise(view_id, len(older))}
+        scores = np.zeros(len(older))
+        scores[list(matches)] = [m.score for m in matches.values()]
+        candidates = []
+        for best in _maxima(scores, p):
+            match = matches[best]
+            candidate = Candidate(keyframe.id, best, "view", score=match.score)
+            if match.seen < p.min_seen:
+                reason = f"both see {match.seen:.2f} of the other, below {p.min_seen:g}"
+                candidate = replace(candidate, decision="rejected", reason=reason)
+            candidates.append(candidate)
+        return Found(
+            candidates, {c.match_id: matches[c.match_id].T_match_query for c in candidates}
+        )
+
+
+def _maxima(scores: NDArray[np.floating], params: LoopParams) -> list[int]:
+    """Return up to ``top_k`` ids of the highest scores above 0, none near one before it."""
+    left = scores.astype(np.float64)
+    chosen: list[int] = []
+    while len(chosen) < params.top_k and len(left) and left.max() > 0.0:
+        best = int(left.argmax())
+        chosen.append(best)
+        apart = params.max_index_difference
+        left[max(0, best - apart) : best + apart + 1] = 0.0
+    return chosen
 
 
 def scene_agreement(a: Scene | None, b: Scene | None) -> float:

@@ -72,7 +72,7 @@ def compute_metrics(
         "n_candidates": len(considered),
         "n_verified": len(verified),
         "n_loops": len(loops),
-        "n_loops_by_bag": sum(loop.source == "bag" for loop in loops),
+        "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),
         "n_covisibility_edges": len(closer.loops) - len(loops),
         "ate_odometry_m": None,

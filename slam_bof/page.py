@@ -22,7 +22,7 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "n_candidates": ("pairs considered", "{}"),
         "n_verified": ("of these, judged by geometry", "{}"),
         "n_loops": ("loops accepted", "{}"),
-        "n_loops_by_bag": ("of these, found by place recognition", "{}"),
+        "n_loops_recognised": ("of these, found by place recognition", "{}"),
         "n_loops_rejected": ("pairs rejected", "{}"),
         "n_covisibility_edges": ("covisibility edges", "{}"),
         "loop_precision": ("loops within 0.10 m and 5° of ground truth", "{:.1%}"),

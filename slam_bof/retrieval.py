@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,18 +15,35 @@ from slam_bof.bench.cost import Cost, one_thread
 from slam_bof.bench.describing import Described
 from slam_bof.errors import DatasetError
 from slam_bof.index import InvertedIndex
-from slam_bof.ports import Dataset, Descriptor
+from slam_bof.ports import Dataset, Descriptor, Odometry
+from slam_bof.recogniser import PlaceRecogniser, RecogniserParams
 from slam_bof.recognition import ProtocolParams, eligible, judge, truths
-from slam_bof.types import Bag
+from slam_bof.types import Bag, Pose
 from slam_bof.vocabulary import TfIdf, Vocabulary, count_words
 
-__all__ = ["evaluate_places", "score_rows"]
+__all__ = ["RECOGNISER", "Scored", "evaluate_places", "score_rows"]
 
+RECOGNISER = "recogniser"
+"""What ``slam_bof.recogniser`` goes by among the descriptors."""
 MAX_SAMPLES = 150_000
 """Local features that a vocabulary is learnt of at most."""
 
 Progress = Callable[[str, int, int], None]
 Bags = tuple[Vocabulary, TfIdf]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scored:
+    """How alike a method finds each two frames, ``scores`` (K, K), and what that costs.
+
+    ``query_ms`` is the CPU that a frame's comparison with all others takes.
+    """
+
+    method: str
+    scores: NDArray[np.float32]
+    describe: Cost
+    query_ms: float
+    n_bytes: int
 
 
 def evaluate_places(
@@ -36,27 +53,31 @@ def evaluate_places(
     training: Sequence[Dataset] = (),
     params: ProtocolParams | None = None,
     n_words: int = 1024,
+    odometry: str = "kiss-icp",
     seed: int = 0,
     on_progress: Progress = lambda what, done, total: None,
 ) -> list[dict[str, Any]]:
-    """Judge descriptor plug-ins on sequences with ground truth.
+    """Judge descriptor plug-ins, and the recogniser, on sequences with ground truth.
 
     Parameters
     ----------
     datasets
         Each is judged by itself.
     names
-        The plug-ins.
+        The plug-ins, and ``RECOGNISER``, which is judged before and after it aligns.
     training
         Sequences whose frames vocabularies are learnt of. Without any, ``bof`` has the model that
         comes along, and other local features are left out.
+    odometry
+        The plug-in that tells the recogniser how the camera turns.
 
     Returns
     -------
     list of dict
-        One for each sequence and descriptor: ``sequence``, ``descriptor``, ``describe_ms`` (CPU,
-        median), ``bytes_per_frame``, and for each truth, ``pose`` and ``overlap``, the figures of
-        ``Recognition``, or None where nothing comes back; or else ``left_out``, saying why.
+        One for each sequence and method: ``sequence``, ``descriptor``, ``describe_ms`` and
+        ``query_ms`` (CPU, medians), ``bytes_per_frame``, and for each truth, ``pose`` and
+        ``overlap``, the figures of ``Recognition``, or None where nothing comes back; or else
+        ``left_out``, saying why.
 
     Raises
     ------
@@ -72,29 +93,32 @@ def evaluate_places(
             right = _truths(dataset, indices, params)
             allowed = eligible(indices, params)
             for name in names:
-                descriptor: Descriptor = registry.build("descriptors", name)
-                row: dict[str, Any] = {"sequence": dataset.sequence, "descriptor": name}
-                rows.append(row)
-                missing = _missing(name, descriptor, dataset, training)
-                if missing:
-                    row["left_out"] = missing
-                    continue
-                if descriptor.comparison == "bag" and name not in vocabularies:
-                    vocabularies[name] = _learn(name, descriptor, training, n_words, seed)
-                what = f"{dataset.sequence} {name}"
-                cost, found = _describe(descriptor, dataset, indices, what, on_progress)
-                if descriptor.comparison == "bag":
-                    bags = [_bag(found.numbers(v), *vocabularies[name]) for v in found.values]
-                    scores = _score_bags(bags, len(vocabularies[name][1].idf_))
-                    n_bytes = sum(bag.words.nbytes + bag.weights.nbytes for bag in bags)
+                if name == RECOGNISER:
+                    built: Odometry = registry.build("odometry", odometry)
+                    found = _recognise(built, dataset, indices, allowed, seed, on_progress)
                 else:
-                    scores = score_rows(np.concatenate(found.values), descriptor.comparison)
-                    n_bytes = found.nbytes
-                row["describe_ms"] = cost.median_ms
-                row["bytes_per_frame"] = n_bytes / len(indices)
-                for kind, truth in right.items():
-                    judged = judge(scores, truth, allowed)
-                    row[kind] = asdict(judged) if judged else None
+                    descriptor: Descriptor = registry.build("descriptors", name)
+                    missing = _missing(name, descriptor, dataset, training)
+                    if missing:
+                        where = {"sequence": dataset.sequence, "descriptor": name}
+                        rows.append({**where, "left_out": missing})
+                        continue
+                    if descriptor.comparison == "bag" and name not in vocabularies:
+                        vocabularies[name] = _learn(name, descriptor, training, n_words, seed)
+                    bags = vocabularies.get(name)
+                    found = [_compare(name, descriptor, bags, dataset, indices, on_progress)]
+                for scored in found:
+                    row: dict[str, Any] = {
+                        "sequence": dataset.sequence,
+                        "descriptor": scored.method,
+                        "describe_ms": scored.describe.median_ms,
+                        "query_ms": scored.query_ms,
+                        "bytes_per_frame": scored.n_bytes / len(indices),
+                    }
+                    for kind, truth in right.items():
+                        judged = judge(scored.scores, truth, allowed)
+                        row[kind] = asdict(judged) if judged else None
+                    rows.append(row)
     return rows
 
 
@@ -145,22 +169,74 @@ def _missing(
     return None
 
 
-def _describe(
+def _compare(
+    name: str,
     descriptor: Descriptor,
+    bags: Bags | None,
     dataset: Dataset,
     indices: Sequence[int],
-    what: str,
     on_progress: Progress,
-) -> tuple[Cost, Described]:
-    cost, found = Cost(), Described(descriptor)
+) -> Scored:
+    describe, query, found = Cost(), Cost(), Described(descriptor)
     for done, index in enumerate(indices, start=1):
         frame = dataset.frame(index)
         gray = dataset.gray(index) if descriptor.needs_gray else None
-        with cost.measure():
+        with describe.measure():
             values = descriptor.describe(frame, gray)
         found.keep(values)
-        on_progress(what, done, len(indices))
-    return cost, found
+        on_progress(f"{dataset.sequence} {name}", done, len(indices))
+    if bags is None:
+        stacked, n_bytes = np.concatenate(found.values), found.nbytes
+        with query.measure():
+            scores = score_rows(stacked, descriptor.comparison)
+    else:
+        words = [_bag(found.numbers(values), *bags) for values in found.values]
+        n_bytes = sum(bag.words.nbytes + bag.weights.nbytes for bag in words)
+        with query.measure():
+            scores = _score_bags(words, len(bags[1].idf_))
+    return Scored(name, scores, describe, 1e3 * query.cpu_s / len(indices), n_bytes)
+
+
+def _recognise(
+    odometry: Odometry,
+    dataset: Dataset,
+    indices: Sequence[int],
+    allowed: NDArray[np.bool_],
+    seed: int,
+    on_progress: Progress,
+) -> list[Scored]:
+    """Judge the recogniser twice: by what looks alike, and by what it says after aligning."""
+    params = RecogniserParams()
+    alignment = params.alignment.model_copy(update={"seed": seed})
+    recogniser = PlaceRecogniser(params.model_copy(update={"alignment": alignment}))
+    describe, retrieve, align = Cost(), Cost(), Cost()
+    alike = np.full(allowed.shape, -np.inf, np.float32)
+    aligned = alike.copy()
+    asking = set(indices)
+    for index in range(indices[-1] + 1):
+        frame = dataset.frame(index)
+        T_odom_camera: Pose = odometry.process(frame)
+        if index not in asking:
+            continue
+        with describe.measure():
+            query = recogniser.add(frame, T_odom_camera)
+        n_views = int(allowed[query].sum())
+        with retrieve.measure():
+            shortlist = recogniser.retrieve(query, n_views)
+        with align.measure():
+            matches = recogniser.rank(query, shortlist)
+        alike[query, :n_views] = shortlist.scores
+        # What was aligned comes before all that was not.
+        aligned[query, :n_views] = shortlist.scores - 10.0
+        for match in matches:
+            aligned[query, match.view_id] = match.score
+        on_progress(f"{dataset.sequence} {RECOGNISER}", query + 1, len(indices))
+    n_bytes = recogniser.nbytes
+    both_ms = retrieve.median_ms + align.median_ms
+    return [
+        Scored(f"{RECOGNISER}, unaligned", alike, describe, retrieve.median_ms, n_bytes),
+        Scored(RECOGNISER, aligned, describe, both_ms, n_bytes),
+    ]
 
 
 def _learn(

@@ -13,7 +13,7 @@ table           columns
                 parameter ``classes``; ``words`` int32 and ``weights`` float32, the
                 bag; ``cloud`` float32 (N, 3) points_camera, or null
 ``loops``       ``id``; ``query_id`` and ``match_id``, keyframes; ``kind`` (loop or
-                covisibility); ``source`` (bag or proximity); ``tx ... qw``
+                covisibility); ``source`` (view, bag or proximity); ``tx ... qw``
                 (T_match_query); ``information`` float64 (6, 6), rotation first
 ``candidates``  the audit trail, every pair considered: ``id`` and the fields of
                 ``slam_bof.types.Candidate``, null where not measured; ``decision``

@@ -91,7 +91,9 @@ class LoopCloser:
         return cls(
             model=model,
             selector=KeyframeSelector(config.keyframes),
-            detector=LoopDetector(config.loops, model.vocabulary.n_words),
+            detector=LoopDetector(
+                config.loops, model.vocabulary.n_words, gravity_odom=config.gravity_odom
+            ),
             covisibility=config.covisibility,
             cloud=config.cloud,
             gravity_odom=config.gravity_odom,
@@ -139,14 +141,17 @@ class LoopCloser:
         )
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
-            candidates = self._detector.find(keyframe)
+            found = self._detector.find(keyframe, frame)
         self.backend.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud)
-            found = {c.match_id for c in candidates if not c.decision}
-            candidates += self._find_covisible(keyframe, points, frame, found)
+            candidates = found.candidates + self._find_covisible(
+                keyframe, points, frame, {c.match_id for c in found.candidates if not c.decision}
+            )
             self._verification.add(points)
-            candidates, loops = self._verification.verify(candidates, self.backend.poses())
+            candidates, loops = self._verification.verify(
+                candidates, self.backend.poses(), guesses=found.guesses
+            )
         self.loops.extend(loops)
         with self._clock.stage("optimize"):
             for loop in loops:

@@ -170,9 +170,10 @@ class Verification:
 class Candidate:
     """One line of the audit trail: a pair of keyframes considered, and what became of it.
 
-    ``source`` is ``bag`` (place recognition) or ``proximity`` (the map already says the two
-    are near); ``kind`` is as in ``Loop``. ``decision`` is ``accepted``, ``rejected`` or
-    ``held`` (good, but waiting for others to agree), and ``reason`` says why in words.
+    ``source`` is ``view`` or ``bag`` (place recognition, by views or by bags of words) or
+    ``proximity`` (the map already says the two are near); ``kind`` is as in ``Loop``.
+    ``decision`` is ``accepted``, ``rejected`` or ``held`` (good, but waiting for others to
+    agree), and ``reason`` says why in words.
     """
 
     query_id: int

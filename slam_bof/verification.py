@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -50,11 +51,16 @@ class LoopVerification:
         self._clouds.append(self._verifier.prepare(points_camera))
 
     def verify(
-        self, candidates: Sequence[Candidate], T_map_camera: Array
+        self,
+        candidates: Sequence[Candidate],
+        T_map_camera: Array,
+        *,
+        guesses: Mapping[int, Pose] = MappingProxyType({}),
     ) -> tuple[list[Candidate], list[Loop]]:
         """Judge the candidates of the newest keyframe that are still open.
 
-        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far.
+        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far; ``guesses`` are
+        ``T_match_query`` that recognition has already, by ``match_id``.
 
         Returns
         -------
@@ -71,7 +77,7 @@ class LoopVerification:
             if candidate.decision:
                 judged.append(candidate)
                 continue
-            verified = self._align(candidate, T_map_camera)
+            verified = self._align(candidate, T_map_camera, guesses.get(candidate.match_id))
             if candidate.source == "proximity" and verified.overlap < self.params.min_overlap:
                 # Too little to claim a loop, but two views of the same surfaces all the same.
                 candidate = replace(candidate, kind="covisibility")
@@ -99,15 +105,18 @@ class LoopVerification:
         admitted = self._gate.admit(loops, T_map_camera)
         return _hold(judged, admitted), edges + admitted
 
-    def _align(self, candidate: Candidate, T_map_camera: Array) -> Verification:
-        """Align from where the map has the two and, for like bags, from nothing if that fails.
+    def _align(
+        self, candidate: Candidate, T_map_camera: Array, T_match_query: Pose | None
+    ) -> Verification:
+        """Align from the guess or else from where the map has the two; like bags, from nothing.
 
         Where the map is good already, the global search, ten times the cost, is spared.
         """
         query_id, match_id = candidate.query_id, candidate.match_id
         clouds = self._clouds[query_id], self._clouds[match_id]
-        guess = se3.inverse(T_map_camera[match_id]) @ T_map_camera[query_id]
-        verified = self._verifier.verify(*clouds, T_match_query=guess)
+        if T_match_query is None:
+            T_match_query = se3.inverse(T_map_camera[match_id]) @ T_map_camera[query_id]
+        verified = self._verifier.verify(*clouds, T_match_query=T_match_query)
         if verified.accepted or candidate.source != "bag":
             return verified
         return self._verifier.verify(*clouds, seed=self._seed)

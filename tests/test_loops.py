@@ -1,11 +1,14 @@
 import numpy as np
 import pytest
 
+from slam_bof import se3
 from slam_bof.loops import LoopDetector, LoopParams, scene_agreement
-from slam_bof.types import Bag, Keyframe, Scene
+from slam_bof.types import Bag, DepthFrame, Intrinsics, Keyframe, Scene
 
 N_WORDS = 8
 CLASSES = ("kitchen", "office")
+UNSEEN = DepthFrame(0.0, np.zeros((1, 1), np.uint16), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0))
+"""Bags do not look at the frame."""
 
 
 def bag(*words):
@@ -31,6 +34,7 @@ def keyframes(bags, scenes=None, period_s=1.0):
 # Four places in a row, then the same four again: each keyframe shares a word with the next.
 TOUR = [bag(i, (i + 1) % 4) for i in (0, 1, 2, 3, 0, 1, 2, 3)]
 PAPER = LoopParams(
+    by="bags",
     lower_threshold=0.5,
     normaliser_lag_s=1.0,
     min_normaliser=0.1,
@@ -45,7 +49,7 @@ PAPER = LoopParams(
 
 def find_all(params, frames):
     detector = LoopDetector(params, N_WORDS)
-    return [detector.find(keyframe) for keyframe in frames]
+    return [detector.find(keyframe, UNSEEN).candidates for keyframe in frames]
 
 
 def changed(**changes):
@@ -101,13 +105,75 @@ def test_contradicting_labels_reject_and_agreeing_ones_do_not():
 def test_top_k_candidates_are_apart_and_ordered():
     frames = keyframes([bag(0), bag(0, 1), bag(2), bag(2), bag(0), bag(5), bag(6), bag(0)])
     detector = LoopDetector(changed(top_k=3, max_index_difference=1, min_normaliser=0.0), N_WORDS)
-    *_, candidates = [detector.find(keyframe) for keyframe in frames]
+    *_, candidates = [detector.find(keyframe, UNSEEN).candidates for keyframe in frames]
     assert [c.match_id for c in candidates] == [0, 4]  # 1 stands beside 0; 2 and 3 score zero
     assert candidates[0].eta == np.inf  # nothing in common with one second ago
 
 
 def test_empty_bags_find_nothing():
     assert find_all(PAPER, keyframes([bag()] * 6)) == [[]] * 6
+
+
+@pytest.fixture(scope="module")
+def rounds(look, standpoint):
+    """Views once round the room, and the first four again from a little aside; one a second."""
+    found = []
+    for index in range(16):
+        yaw = 2 * np.pi / 12 * index
+        T = np.eye(4)
+        T[:3, 0], T[:3, 1], T[:3, 2] = (
+            [np.sin(yaw), -np.cos(yaw), 0], [0, 0, -1], [np.cos(yaw), np.sin(yaw), 0],
+        )  # fmt: skip
+        T[:3, 3] = [standpoint[0] + 0.1 * (index // 12), standpoint[1], 1.3]
+        found.append((look(T, index), T))
+    return found
+
+
+def find_views(params, rounds):
+    detector = LoopDetector(params, N_WORDS)
+    T_odom_world = se3.inverse(rounds[0][1])
+    return [
+        detector.find(Keyframe(i, i, float(i), T_odom_world @ T, bag(), None), frame)
+        for i, (frame, T) in enumerate(rounds)
+    ]
+
+
+def test_views_are_found_again_and_where_they_are(rounds):
+    params = LoopParams(max_index_difference=1, tc_required=0, top_k=2)
+    found = find_views(params, rounds)
+    assert not any(c for f in found[:3] for c in f.candidates)  # nothing is old enough
+    for query in range(12, 16):
+        best, *_ = found[query].candidates
+        assert (best.query_id, best.match_id, best.source) == (query, query - 12, "view")
+        assert (best.decision, np.isnan(best.eta)) == ("", True)
+        T_match_query = se3.inverse(rounds[query - 12][1]) @ rounds[query][1]
+        off = se3.inverse(T_match_query) @ found[query].guesses[best.match_id]
+        assert np.linalg.norm(off[:3, 3]) < 0.05
+
+
+def test_views_that_see_too_little_of_each_other_are_rejected(rounds):
+    params = LoopParams(max_index_difference=1, min_seen=0.99)
+    (*_, last) = find_views(params, rounds)
+    assert last.candidates
+    for candidate in last.candidates:
+        assert candidate.decision == "rejected"
+        assert candidate.reason.startswith("both see 0.")
+
+
+def test_views_are_held_to_time_consistency(rounds):
+    params = LoopParams(max_index_difference=1, tc=2, tc_required=2, top_k=1, min_seen=0.0)
+    found = [f.candidates for f in find_views(params, rounds)]
+    decisions = set()
+    for query, candidates in enumerate(found):
+        for candidate in candidates:
+            agreeing = [
+                any(abs(other.match_id - candidate.match_id) <= 1 for other in before)
+                for before in found[max(0, query - 2) : query]
+            ]
+            assert candidate.n_consistent == sum(agreeing)
+            assert candidate.decision == ("" if sum(agreeing) == 2 else "rejected")
+            decisions.add(candidate.decision)
+    assert decisions == {"", "rejected"}
 
 
 @pytest.mark.parametrize(

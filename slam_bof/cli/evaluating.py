@@ -25,7 +25,8 @@ def _group() -> None:
 def places(
     sequences: Annotated[list[Path], typer.Argument(help="Sequences with ground truth.")],
     descriptors: Annotated[
-        str, typer.Option(help="Plug-ins by name, with commas between, or all.")
+        str,
+        typer.Option(help="Plug-ins by name, or recogniser, with commas between; or all."),
     ] = "all",
     train: Annotated[
         list[Path] | None, typer.Option(help="A sequence to learn visual words of.")
@@ -33,7 +34,10 @@ def places(
     every: Annotated[int, typer.Option(min=1, help="Each so many frames asks and answers.")] = 5,
     min_age: Annotated[int, typer.Option(min=1, help="Frames an answer is older.")] = 101,
     n_words: Annotated[int, typer.Option("--words", min=2, help="Of each vocabulary.")] = 1024,
-    seed: Annotated[int, typer.Option(min=0, help="Of the vocabularies.")] = 0,
+    odometry: Annotated[
+        str, typer.Option(help="Plug-in that the recogniser is beside.")
+    ] = "kiss-icp",
+    seed: Annotated[int, typer.Option(min=0, help="Of what is drawn at random.")] = 0,
     curves: Annotated[
         Path | None, typer.Option(help="HTML file to write the precision-recall curves to.")
     ] = None,
@@ -44,12 +48,13 @@ def places(
     from slam_bof import registry
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.recognition import ProtocolParams
-    from slam_bof.retrieval import evaluate_places
+    from slam_bof.retrieval import RECOGNISER, evaluate_places
 
-    names = registry.names("descriptors")
+    names = [RECOGNISER, *registry.names("descriptors")]
     chosen = names if descriptors == "all" else [name.strip() for name in descriptors.split(",")]
     for name in chosen:
-        registry.load("descriptors", name)
+        if name != RECOGNISER:
+            registry.load("descriptors", name)
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(
             [registry.open_dataset(path) for path in sequences],
@@ -57,6 +62,7 @@ def places(
             training=[registry.open_dataset(path) for path in train or []],
             params=ProtocolParams(every=every, min_age_frames=min_age),
             n_words=n_words,
+            odometry=odometry,
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),
         )
@@ -104,9 +110,19 @@ def _print(rows: list[dict[str, Any]]) -> None:
                     figures["recall_at_full_precision"],
                 ]
             n_queries = figures["n_queries"] if figures else 0
-            cost = (row["describe_ms"], round(row["bytes_per_frame"]))
+            cost = (row["describe_ms"], row["query_ms"], round(row["bytes_per_frame"]))
             table.append([row["sequence"], row["descriptor"], n_queries, *shares, *cost])
-        columns = ("R@1", "R@5", "R@10", "R@20", "AP", "recall at P = 1", "CPU ms", "bytes")
+        columns = (
+            "R@1",
+            "R@5",
+            "R@10",
+            "R@20",
+            "AP",
+            "recall at P = 1",
+            "CPU ms",
+            "query ms",
+            "bytes",
+        )
         print_table(
             ("sequence", "descriptor", "queries", *columns), table, title=f"Truth by {kind}"
         )

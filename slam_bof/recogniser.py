@@ -1,0 +1,201 @@
+"""Recognise places from depth alone: which earlier view shows the same surfaces, and from where.
+
+Three steps, each on fewer views than the one before: panoramas are compared with all, plans in
+slices with the most alike, and the best of these are aligned and ranked by what both see. What
+the view before was found to match is followed by odometry, and aligned as well: where few views
+are alike enough to be found, the place is still known from a moment ago.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.alignment import AlignmentParams, ViewAligner
+from slam_bof.gravity import GravityTracker, level_frame
+from slam_bof.panorama import Panorama
+from slam_bof.slices import Slices
+from slam_bof.stack import Stack
+from slam_bof.types import Array, DepthFrame, Params, Pose
+from slam_bof.views import make_view
+
+__all__ = ["PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
+
+
+class RecogniserParams(Params):
+    """How many views each step looks at, and how alignments are ranked."""
+
+    n_plans: int = Field(100, gt=0, description="views whose plans are compared")
+    n_aligned: int = Field(30, ge=0, description="views that are aligned; half may be followed")
+    n_followed: int = Field(5, ge=0, description="matches of the view before that are followed")
+    n_neighbours: int = Field(2, ge=0, description="views before and after such a match")
+    plan_weight: float = Field(0.5, ge=0, description="of plans, the panorama's being 1")
+    enough: float = Field(0.55, ge=0, description="agreement from which more hardly counts")
+    near_bonus: float = Field(0.1, ge=0, description="for a view from the same place")
+    near_m: float = Field(0.3, gt=0, description="which is so far from it")
+    near_deg: float = Field(25.0, gt=0, description="and turned by so much")
+    alignment: AlignmentParams = AlignmentParams()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceMatch:
+    """An earlier view aligned with the query.
+
+    ``seen`` is the share of points that both see and ``blocking`` the share that contradicts, as
+    ``alignment.Agreement`` has them; ``score`` ranks.
+    """
+
+    view_id: int
+    score: float
+    T_match_query: Pose
+    seen: float
+    blocking: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shortlist:
+    """Views that look alike: ``scores`` (n,) of all asked, the best ones' ids and guesses.
+
+    ``view_ids`` (m,) are best first, ``starts`` (m, S, 4, 4) poses ``T_match_query`` to align from.
+    """
+
+    scores: NDArray[np.float32]
+    view_ids: NDArray[np.intp]
+    starts: Array
+
+
+class PlaceRecogniser:
+    """Remembers views and recognises their places.
+
+    Parameters
+    ----------
+    gravity_odom
+        (3,) roughly down in the odometry's frame, as ``GravityTracker`` has it.
+
+    Examples
+    --------
+    >>> recogniser = PlaceRecogniser(RecogniserParams())
+    >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
+    ...     view_id = recogniser.add(frame, T_odom_camera)
+    ...     matches = recogniser.recognise(view_id, view_id - 20)
+    """
+
+    def __init__(
+        self, params: RecogniserParams, *, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)
+    ) -> None:
+        self.params = params
+        self._gravity = GravityTracker(gravity_odom)
+        self._panorama, self._slices = Panorama(), Slices()
+        self._panoramas = Stack(self._panorama.shape, np.complex64)
+        self._plans = Stack(self._slices.shape, np.complex64)
+        self._R_level_camera = Stack((3, 3), np.float64)
+        self._T_odom_camera = Stack((4, 4), np.float64)
+        self._aligner = ViewAligner(params.alignment)
+        self._before: tuple[int, list[PlaceMatch]] = (0, [])
+
+    def __len__(self) -> int:
+        """Return the number of views remembered."""
+        return len(self._panoramas)
+
+    def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
+        """Remember a view, and return its id: 0, 1, 2 ..."""
+        view, points_camera = make_view(frame)
+        normals = view.normals_camera[view.normals_camera.any(axis=-1)]
+        R = level_frame(self._gravity.update(normals, T_odom_camera)).astype(np.float32)
+        self._aligner.add(view)
+        self._T_odom_camera.append(T_odom_camera)
+        self._R_level_camera.append(R)
+        self._panoramas.append(self._panorama.spectrum(points_camera @ R.T))
+        view_id = len(self) - 1
+        self._plans.append(self._slices.spectra(self._points_level(view_id), np.zeros(1))[0])
+        return view_id
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all views remembered."""
+        stacks = (self._panoramas, self._plans, self._R_level_camera)
+        return self._aligner.nbytes + sum(stack.rows.nbytes for stack in stacks)
+
+    def recognise(self, view_id: int, n_views: int) -> list[PlaceMatch]:
+        """Return the first ``n_views`` views that may show what this one does, best first."""
+        return self.rank(view_id, self.retrieve(view_id, n_views))
+
+    def retrieve(self, view_id: int, n_views: int) -> Shortlist:
+        """Return which of the first ``n_views`` views look alike, unaligned."""
+        p = self.params
+        scores = self._panorama.compare(
+            self._panoramas.rows[:n_views], self._panoramas.rows[view_id]
+        )
+        some = np.argsort(-scores, kind="stable")[: p.n_plans]
+        turned = self._slices.spectra(self._points_level(view_id))
+        alike, T_plan = self._slices.compare(self._plans.rows[some], turned)
+        scores[some] += np.float32(p.plan_weight) * alike
+        best = np.argsort(-scores[some], kind="stable")[: p.n_aligned]
+        R = self._R_level_camera.rows
+        T_level_query, T_match_level = np.eye(4), np.tile(np.eye(4), (len(best), 1, 1))
+        T_level_query[:3, :3] = R[view_id]
+        T_match_level[:, :3, :3] = R[some[best]].transpose(0, 2, 1)
+        moved = T_match_level @ T_plan[best] @ T_level_query
+        still = np.broadcast_to(np.eye(4), moved.shape)
+        return Shortlist(scores, some[best], np.stack([moved, still], axis=1))
+
+    def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
+        """Align the view with those of a shortlist and those that it follows, and rank them.
+
+        They are followed to the view that is ranked next.
+        """
+        ids, starts = self._follow(view_id, shortlist)
+        if len(ids) == 0:
+            return []
+        T = self._aligner.align(view_id, ids, starts)
+        seen, blocking = self._aligner.agreement(view_id, ids, T)
+        scores = self._score(T, seen - blocking)
+        matches = [
+            PlaceMatch(int(ids[k]), float(scores[k]), T[k], float(seen[k]), float(blocking[k]))
+            for k in np.argsort(-scores, kind="stable")
+        ]
+        self._before = (view_id, matches[: self.params.n_followed])
+        return matches
+
+    def _follow(self, view_id: int, shortlist: Shortlist) -> tuple[NDArray[np.intp], Array]:
+        """Return ``n_aligned`` views and their starts: listed, and what the last matches lead to.
+
+        Where one leads to a view that is listed already, it replaces the start to stand still.
+        """
+        T_odom_camera = self._T_odom_camera.rows
+        last_id, matches = self._before
+        T_last_query = se3.inverse(T_odom_camera[last_id]) @ T_odom_camera[view_id]
+        around = self.params.n_neighbours
+        leads: dict[int, Pose] = {}
+        for match in matches:
+            T_match_query = match.T_match_query @ T_last_query
+            T_odom_query = T_odom_camera[match.view_id] @ T_match_query
+            last = min(match.view_id + around + 1, len(shortlist.scores))
+            for near in range(max(0, match.view_id - around), last):
+                leads.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
+        ids, starts = shortlist.view_ids, shortlist.starts.copy()
+        for k, listed in enumerate(ids):
+            starts[k, -1] = leads.pop(int(listed), starts[k, -1])
+        led = list(leads.items())[: self.params.n_aligned // 2]
+        n_listed = self.params.n_aligned - len(led)
+        ids = np.concatenate([ids[:n_listed], np.array([near for near, _ in led], np.intp)])
+        poses = np.array([T for _, T in led]).reshape(-1, 1, 4, 4)
+        poses = np.broadcast_to(poses, (len(led), *starts.shape[1:]))
+        return ids, np.concatenate([starts[:n_listed], poses])
+
+    def _points_level(self, view_id: int) -> NDArray[np.float32]:
+        R_camera_level = self._R_level_camera.rows[view_id].astype(np.float32).T
+        return np.asarray(self._aligner.points_camera(view_id) @ R_camera_level)
+
+    def _score(self, T_match_query: Array, agreement: Array) -> Array:
+        """Rank by agreement up to what is enough; beyond, by how near the views are."""
+        p = self.params
+        distance = np.linalg.norm(T_match_query[:, :3, 3], axis=1) / p.near_m
+        angle = se3.rotation_angle(T_match_query) / np.radians(p.near_deg)
+        near = np.exp(-(distance**2 + angle**2) / 2)
+        more = np.maximum(agreement - p.enough, 0.0)
+        return np.asarray(np.minimum(agreement, p.enough) + 0.1 * more + p.near_bonus * near)

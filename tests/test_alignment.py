@@ -1,0 +1,97 @@
+import numpy as np
+import pytest
+
+from slam_bof import se3
+from slam_bof.alignment import AlignmentParams, ViewAligner
+from slam_bof.types import DepthFrame, Intrinsics
+from slam_bof.views import View, make_view
+
+ONE = np.array([0])
+
+
+def upright(x, y, z, yaw):
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[s, 0, c, x], [-c, 0, s, y], [0, -1, 0, z], [0, 0, 0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def pair(look, standpoint):
+    """Two views of the room's same corner, 35 cm and 17 degrees apart, and the true motion."""
+    match = upright(*standpoint, 1.3, 0.8)
+    query = upright(standpoint[0] + 0.3, standpoint[1] - 0.15, 1.4, 1.1)
+    aligner = ViewAligner(AlignmentParams())
+    for index, T in enumerate((match, query)):
+        aligner.add(make_view(look(T, index))[0])
+    return aligner, se3.inverse(match) @ query
+
+
+def error(T_estimate, T_true):
+    off = se3.inverse(T_true) @ T_estimate
+    return np.linalg.norm(off[:3, 3]), np.degrees(se3.rotation_angle(off))
+
+
+def test_the_motion_between_two_views_is_recovered(pair):
+    aligner, T_match_query = pair
+    T = aligner.align(1, ONE, np.eye(4)[None, None])
+    distance_m, angle_deg = error(T[0], T_match_query)
+    assert distance_m < 0.03
+    assert angle_deg < 1.0
+
+
+def test_a_good_start_among_bad_ones_is_enough(pair):
+    aligner, T_match_query = pair
+    bad = se3.exp(np.array([[0, np.pi, 0, 0, 0, 0], [0, 1.5, 0, 2, 0, 0]]))
+    T = aligner.align(1, ONE, np.stack([*bad, T_match_query])[None])
+    assert error(T[0], T_match_query)[0] < 0.03
+
+
+def test_the_true_motion_agrees_and_wrong_ones_do_not(pair):
+    aligner, T_match_query = pair
+    closer = T_match_query @ se3.pose(np.eye(3), [0, 0, -0.5])
+    seen, blocking = aligner.agreement(1, np.zeros(2, int), np.stack([T_match_query, closer]))
+    assert seen[0] > 0.6
+    assert blocking[0] < 0.1
+    assert seen[1] < 0.4
+    assert blocking[1] > 0.4
+
+
+def test_a_view_agrees_with_itself_altogether(pair):
+    aligner, _ = pair
+    agreement = aligner.agreement(1, np.array([1]), np.eye(4)[None])
+    assert agreement.seen.tolist() == [1.0]
+    assert agreement.blocking.tolist() == [0.0]
+
+
+def test_pairs_do_not_depend_on_their_company(pair):
+    aligner, T_match_query = pair
+    starts = np.stack([T_match_query, np.eye(4)])[:, None]
+    together = aligner.align(1, np.array([0, 1]), starts)
+    np.testing.assert_allclose(together[:1], aligner.align(1, ONE, starts[:1]), atol=1e-4)
+    np.testing.assert_allclose(together[1], np.eye(4), atol=1e-3)
+
+
+def test_a_view_of_nothing_aligns_with_nothing(pair):
+    _, T_match_query = pair
+    aligner = ViewAligner(AlignmentParams())
+    camera = pair[0]._camera
+    empty = np.zeros((camera.height, camera.width), np.float32)
+    for _ in range(2):
+        aligner.add(View(empty, np.zeros((*empty.shape, 3), np.float32), camera))
+    T = aligner.align(1, ONE, T_match_query[None, None])
+    assert np.isfinite(T).all()
+    assert aligner.agreement(1, ONE, T).seen.tolist() == [0.0]
+    assert aligner.points_camera(0).shape == (0, 3)
+
+
+def test_points_are_kept(pair, look, standpoint):
+    aligner, _ = pair
+    view, _ = make_view(look(upright(*standpoint, 1.3, 0.8), 0))
+    expected = (view.rays() * view.depth_m[..., None])[view.depth_m > 0]
+    np.testing.assert_allclose(aligner.points_camera(0), expected, rtol=1e-6)
+
+
+def test_another_camera_is_refused(pair):
+    camera = Intrinsics(160, 120, 130.0, 130.0, 80.0, 60.0)
+    view, _ = make_view(DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), camera))
+    with pytest.raises(ValueError, match=r"views must be of Intrinsics.*, got Intrinsics.*65\.0"):
+        pair[0].add(view)
