@@ -126,11 +126,19 @@ class ViewAligner:
         seen_back, blocking_back = self._shares(own, np.full(len(matches), query), back)
         return Agreement(np.minimum(seen, seen_back), blocking + blocking_back)
 
-    def _points(self, views: int | Indices, pixels: Indices) -> NDArray[np.float32]:
-        return np.asarray(self._rays[pixels] * self._depths_m.rows[views, pixels][..., None])
+    # ``take`` from flat arrays is three times as fast as indexing by views and pixels.
 
-    def _normal(self, views: int | Indices, pixels: Indices) -> NDArray[np.float32]:
-        return np.asarray(self._normals.rows[views, pixels] * np.float32(1.0 / NORMAL_STEPS))
+    def _depth(self, views: int | Indices, pixels: Indices) -> Floats:
+        flat = self._depths_m.rows.reshape(-1)
+        return np.asarray(flat.take(views * len(self._rays) + pixels))
+
+    def _points(self, views: int | Indices, pixels: Indices) -> Floats:
+        return np.asarray(self._rays.take(pixels, axis=0) * self._depth(views, pixels)[..., None])
+
+    def _normal(self, views: int | Indices, pixels: Indices) -> Floats:
+        flat = self._normals.rows.reshape(-1, 3)
+        found = flat.take(views * len(self._rays) + pixels, axis=0)
+        return np.asarray(found * np.float32(1.0 / NORMAL_STEPS))
 
     def _sample(self, pixels: Indices) -> Indices:
         """Return ``n_points`` of these, some twice where they are few, or else just any."""
@@ -158,7 +166,7 @@ class ViewAligner:
         moved = rotated.reshape(n, n_poses, 3, -1) + poses[..., :3, 3:]
         depth = moved[:, :, 2]
         pixels, inside = self._project(moved[:, :, 0], moved[:, :, 1], depth)
-        there = self._depths_m.rows[matches[:, None, None], pixels]
+        there = self._depth(matches[:, None, None], pixels)
         off = depth - there
         allowed = tolerance[0] + tolerance[1] * there
         worth = np.maximum(1.0 - np.abs(off) / allowed, 0.0) - 0.5 * (off < -allowed)
@@ -177,12 +185,12 @@ class ViewAligner:
             other = self._points(matches[:, None], pixels)
             normal = self._normal(matches[:, None], pixels)
             gap = other - moved
-            residual = (gap * normal).sum(axis=-1)
+            residual = _dot(gap, normal)
             matched = (
                 inside
-                & ((gap * gap).sum(axis=-1) < 4.0 * gate * gate)
+                & (_dot(gap, gap) < 4.0 * gate * gate)
                 & (np.abs(residual) < gate)
-                & ((normal * (normals @ R_t)).sum(axis=-1) > MIN_COSINE)
+                & (_dot(normal, normals @ R_t) > MIN_COSINE)
             )
             # Geman-McClure, and less for what is far, whose depth is less sure.
             robust = (1.0 + (2.0 * residual / gate) ** 2) ** -2
@@ -194,7 +202,7 @@ class ViewAligner:
         """Return the shares of points that the frames see, and that block what they see."""
         moved = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
         pixels, inside = self._project(*np.moveaxis(moved, -1, 0))
-        there = self._depths_m.rows[frames[:, None], pixels]
+        there = self._depth(frames[:, None], pixels)
         inside &= there > 0
         off = moved[..., 2] - there
         fixed, share = self.params.tolerance
@@ -238,6 +246,11 @@ def _random_motions(params: AlignmentParams) -> list[Floats]:
         T[orbiting, :3, 3] += centre - T[orbiting, :3, :3] @ centre
         rounds.append(T.astype(np.float32))
     return rounds
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Return the dot products (...) of vectors (..., 3)."""
+    return np.asarray(np.einsum("...i,...i->...", a, b))
 
 
 def _solve(turn: Floats, push: Floats, residual: Floats, weight: Floats) -> Floats:

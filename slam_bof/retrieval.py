@@ -29,6 +29,7 @@ MAX_SAMPLES = 150_000
 """Local features that a vocabulary is learnt of at most."""
 
 Progress = Callable[[str, int, int], None]
+Truths = dict[str, NDArray[np.bool_]]
 Bags = tuple[Vocabulary, TfIdf]
 
 
@@ -46,6 +47,9 @@ class Scored:
     n_bytes: int
 
 
+OnScored = Callable[[Dataset, Sequence[int], Scored, Truths, NDArray[np.bool_]], None]
+
+
 def evaluate_places(
     datasets: Sequence[Dataset],
     names: Sequence[str],
@@ -56,6 +60,7 @@ def evaluate_places(
     odometry: str = "kiss-icp",
     seed: int = 0,
     on_progress: Progress = lambda what, done, total: None,
+    on_scored: OnScored = lambda dataset, indices, scored, right, allowed: None,
 ) -> list[dict[str, Any]]:
     """Judge descriptor plug-ins, and the recogniser, on sequences with ground truth.
 
@@ -69,7 +74,10 @@ def evaluate_places(
         Sequences whose frames vocabularies are learnt of. Without any, ``bof`` has the model that
         comes along, and other local features are left out.
     odometry
-        The plug-in that tells the recogniser how the camera turns.
+        The plug-in that the recogniser is beside.
+    on_scored
+        Called with each sequence, its frames that ask and answer, what a method says of them, and
+        what is right and what may answer, (K, K) each.
 
     Returns
     -------
@@ -108,6 +116,7 @@ def evaluate_places(
                     bags = vocabularies.get(name)
                     found = [_compare(name, descriptor, bags, dataset, indices, on_progress)]
                 for scored in found:
+                    on_scored(dataset, indices, scored, right, allowed)
                     row: dict[str, Any] = {
                         "sequence": dataset.sequence,
                         "descriptor": scored.method,
@@ -144,9 +153,7 @@ def _score_bags(bags: Sequence[Bag], n_words: int) -> NDArray[np.float32]:
     return np.stack([index.scores(bag) for bag in bags])
 
 
-def _truths(
-    dataset: Dataset, indices: list[int], params: ProtocolParams
-) -> dict[str, NDArray[np.bool_]]:
+def _truths(dataset: Dataset, indices: list[int], params: ProtocolParams) -> Truths:
     groundtruth = dataset.groundtruth()
     if groundtruth is None:
         raise DatasetError(f"{dataset.sequence}: found no ground truth, expected poses to judge by")

@@ -21,7 +21,7 @@ _ROWS = """
     schema rows store queries
     registry config slam mapping
     evaluation recognition metrics synthetic training bench retrieval
-    figures page report runs run cli
+    figures page misses report runs run cli
 """
 ORDER = _ROWS.split()
 

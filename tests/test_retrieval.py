@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from slam_bof import registry
 from slam_bof.cli import app
 from slam_bof.retrieval import score_rows
 
@@ -31,17 +32,18 @@ def test_coming_back_is_found(twice_round):
     assert result.exit_code == 0, result.output
     rows = {row["descriptor"]: row for row in json.loads(result.stdout)}
     recognisers = {"recogniser", "recogniser, unaligned"}
-    assert set(rows) == recognisers | {"bof", "ferns", "occupancy", "orb", "sift", "thumbnail"}
+    assert set(rows) == recognisers | set(registry.names("descriptors"))
     for name in ("orb", "sift"):
         assert rows[name]["left_out"] == "needs sequences to learn words of"
-    for name in ("bof", "ferns", "occupancy", "thumbnail", *recognisers):
+    assert rows["gist"]["left_out"] == "no colour images in room/seq-01"
+    for name in ("bof", "ferns", "gist-depth", "occupancy", "thumbnail", *recognisers):
         for truth in ("pose", "overlap"):
             assert rows[name][truth]["n_queries"] == N_ROUND
         assert rows[name]["describe_ms"] > 0
         assert rows[name]["query_ms"] > 0
         assert rows[name]["bytes_per_frame"] > 0
     # From two centimetres aside, the depth image is all but the same.
-    for name in ("ferns", "occupancy", "thumbnail"):
+    for name in ("ferns", "gist-depth", "occupancy", "thumbnail"):
         assert rows[name]["pose"]["recall_at"]["1"] == 1.0
     # At thirty degrees a frame the odometry is lost, and with it how the camera is held.
     for name in recognisers:
@@ -57,12 +59,14 @@ def test_words_can_be_learnt_of_other_sequences(twice_round):
     assert "sift is left out: no colour images in room/seq-01" in result.stdout
 
 
-def test_curves_are_written(twice_round, tmp_path):
+def test_curves_and_misses_are_written(twice_round, tmp_path):
     file = tmp_path / "curves" / "places.html"
     arguments = ("--every", 1, "--min-age", N_ROUND, "--descriptors", "ferns,thumbnail")
-    result = evaluate(twice_round, *arguments, "--curves", file, "--json")
+    misses = tmp_path / "misses.html"
+    result = evaluate(twice_round, *arguments, "--curves", file, "--misses", misses, "--json")
     assert result.exit_code == 0, result.output
     assert "truth by overlap" in file.read_text("utf-8")
+    assert f"0 of {N_ROUND} queries got a wrong answer." in misses.read_text("utf-8")
     ferns, _ = json.loads(result.stdout)
     curve = np.array(ferns["pose"]["curve"])
     assert curve[-1, 0] == ferns["pose"]["recall_at"]["1"]
@@ -78,8 +82,8 @@ def refusal(*arguments):
 
 
 def test_bad_input_is_one_line(twice_round, tmp_path):
-    assert "no descriptors plug-in 'gist'; installed: bof, ferns" in refusal(
-        twice_round, "--descriptors", "gist"
+    assert "no descriptors plug-in 'surf'; installed: bof, ferns" in refusal(
+        twice_round, "--descriptors", "surf"
     )
     few = refusal(twice_round, "--descriptors", "bof", "--train", twice_round, "--words", 100000)
     assert "descriptors of bof, expected at least 100000" in few

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from slam_bof.cli.options import JSON, QUIET
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from slam_bof.ports import Dataset
+    from slam_bof.retrieval import Scored
 
 __all__ = ["evaluate"]
 
@@ -41,12 +49,16 @@ def places(
     curves: Annotated[
         Path | None, typer.Option(help="HTML file to write the precision-recall curves to.")
     ] = None,
+    misses: Annotated[
+        Path | None, typer.Option(help="HTML file to show what was missed in, by overlap.")
+    ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
     """Print recall, precision and cost of place recognition, by pose and by overlap."""
     from slam_bof import registry
     from slam_bof.cli.console import Bar, print_json
+    from slam_bof.misses import Missed, find_misses, write_misses
     from slam_bof.recognition import ProtocolParams
     from slam_bof.retrieval import RECOGNISER, evaluate_places
 
@@ -55,6 +67,18 @@ def places(
     for name in chosen:
         if name != RECOGNISER:
             registry.load("descriptors", name)
+    missed: list[Missed] = []
+
+    def look(
+        dataset: Dataset,
+        indices: Sequence[int],
+        scored: Scored,
+        right: dict[str, NDArray[np.bool_]],
+        allowed: NDArray[np.bool_],
+    ) -> None:
+        found = find_misses(scored.scores, right["overlap"], allowed)
+        missed.append(Missed(scored.method, dataset, indices, *found))
+
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(
             [registry.open_dataset(path) for path in sequences],
@@ -65,9 +89,12 @@ def places(
             odometry=odometry,
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),
+            on_scored=look,
         )
     if curves is not None:
         _write_curves(rows, curves)
+    if misses is not None:
+        write_misses(misses, missed)
     if as_json:
         print_json(rows)
     else:

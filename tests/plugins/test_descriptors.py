@@ -11,7 +11,7 @@ FRAME = DepthFrame(0.0, box_room_depth_mm(CAMERA, np.eye(4)), CAMERA)
 
 
 LOCAL = ["bof", "orb", "sift"]
-GLOBAL = ["ferns", "occupancy", "thumbnail"]
+GLOBAL = ["ferns", "gist", "gist-depth", "occupancy", "thumbnail"]
 
 
 @pytest.fixture(params=LOCAL + GLOBAL)
@@ -81,3 +81,28 @@ def test_ferns_ask_the_same_questions_for_a_seed():
     )
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
+
+
+def grating(angle_rad, cycles):
+    y, x = np.mgrid[:240, :320]
+    along = np.cos(angle_rad) * x / 320 + np.sin(angle_rad) * y / 240
+    return (127 + 100 * np.sin(2 * np.pi * cycles * along)).astype(np.uint8)
+
+
+def test_gist_has_the_most_energy_at_the_grating_s_scale_and_orientation():
+    gist = registry.build("descriptors", "gist")
+
+    def strongest(image):
+        energy = gist.describe(FRAME, image).reshape(4, 8, 16).mean(axis=2)
+        return np.unravel_index(energy.argmax(), energy.shape)
+
+    scale, orientation = strongest(grating(0.0, 20))
+    assert strongest(grating(np.pi / 2, 20)) == (scale, (orientation + 4) % 8)
+    assert strongest(grating(0.0, 6)) > (scale, 7)  # a coarser filter
+
+
+def test_gist_looks_at_structure_and_not_at_brightness():
+    gist = registry.build("descriptors", "gist")
+    image, other = 20 + speckle(2) // 4, 20 + speckle(3) // 4
+    one, brighter, another = (gist.describe(FRAME, i) for i in (image, 3 * image, other))
+    assert np.abs(one - brighter).mean() < 0.5 * np.abs(one - another).mean()
