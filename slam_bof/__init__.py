@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from slam_bof.config import Config
     from slam_bof.errors import SlamBofError
+    from slam_bof.recogniser import PlaceRecogniser
     from slam_bof.slam import LoopCloser, MiniSlam
     from slam_bof.types import (
         Bag,
@@ -30,6 +31,7 @@ __all__ = [
     "Loop",
     "LoopCloser",
     "MiniSlam",
+    "PlaceRecogniser",
     "Scene",
     "SlamBofError",
     "Step",
@@ -40,6 +42,7 @@ _HOMES = {
     "Config": "config",
     "LoopCloser": "slam",
     "MiniSlam": "slam",
+    "PlaceRecogniser": "recogniser",
     "SlamBofError": "errors",
 }
 

@@ -46,7 +46,6 @@ class AlignmentParams(Params):
     n_iterations: int = Field(12, gt=0, description="of ICP")
     gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
     tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
-    seed: int = Field(0, ge=0)
 
 
 class Agreement(NamedTuple):
@@ -61,8 +60,9 @@ class Agreement(NamedTuple):
 class ViewAligner:
     """Holds views of one camera, and aligns one of them with others."""
 
-    def __init__(self, params: AlignmentParams) -> None:
+    def __init__(self, params: AlignmentParams, *, seed: int = 0) -> None:
         self.params = params
+        self._seed = seed
         self._camera: Intrinsics | None = None
         self._rays: NDArray[np.float32]
         self._depths_m: Stack
@@ -70,7 +70,7 @@ class ViewAligner:
         self._sampled: Stack
         self._surface: Stack
         self._order: Indices
-        self._motions = _random_motions(params)
+        self._motions = _random_motions(params, seed)
 
     def add(self, view: View) -> None:
         """Hold another view; ids count from 0.
@@ -89,7 +89,7 @@ class ViewAligner:
             self._normals = Stack((n_pixels, 3), np.int8)
             self._sampled = Stack((p.n_points,), np.int32)
             self._surface = Stack((p.n_points,), np.int32)
-            self._order = np.random.default_rng(p.seed).permutation(n_pixels)
+            self._order = np.random.default_rng(self._seed).permutation(n_pixels)
         if view.intrinsics != self._camera:
             raise ValueError(f"views must be of {self._camera}, got {view.intrinsics}")
         normals = view.normals_camera.reshape(-1, 3)
@@ -228,9 +228,9 @@ class ViewAligner:
         return np.where(inside, row * camera.width + column, 0).astype(np.intp), inside
 
 
-def _random_motions(params: AlignmentParams) -> list[Floats]:
+def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
     """Return the motions (n_poses, 4, 4) of each round, the first of which stays."""
-    random = np.random.default_rng(params.seed)
+    random = np.random.default_rng(seed)
     sigma = np.concatenate([np.radians(params.sigma_deg), params.sigma_m])
     n = params.n_poses
     rounds = []

@@ -65,17 +65,25 @@ class LoopDetector:
         Words of the vocabulary, for bags.
     gravity_odom
         (3,) roughly down in the odometry's frame, for views.
+    seed
+        Of what aligning views draws at random.
     """
 
     def __init__(
-        self, params: LoopParams, n_words: int, *, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)
+        self,
+        params: LoopParams,
+        n_words: int,
+        *,
+        gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
+        seed: int = 0,
     ) -> None:
         self.params = params
-        self._ranking: _Ranking = (
-            _Bags(params, n_words)
-            if params.by == "bags"
-            else _Views(params, PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom))
-        )
+        self._ranking: _Ranking
+        if params.by == "bags":
+            self._ranking = _Bags(params, n_words)
+        else:
+            recogniser = PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom, seed=seed)
+            self._ranking = _Views(params, recogniser)
         self._keyframes: list[Keyframe] = []
         self._maxima: list[tuple[int, ...]] = []
 

@@ -105,9 +105,9 @@ def _figure(dataset: Dataset, index: int, caption: str) -> str:
     levels = np.clip(255.0 * small / FAR_M, 0, 255).astype(np.uint8)
     picture = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
     picture[small == 0] = 0
-    _, coded = cv2.imencode(".png", picture)
+    _, coded = cv2.imencode(".jpg", picture)
     data = base64.b64encode(coded.tobytes()).decode("ascii")
     return (
-        f'<figure><img alt="{caption}" src="data:image/png;base64,{data}">'
+        f'<figure><img alt="{caption}" src="data:image/jpeg;base64,{data}">'
         f"<figcaption>{caption}</figcaption></figure>"
     )

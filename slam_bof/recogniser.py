@@ -75,26 +75,33 @@ class PlaceRecogniser:
     ----------
     gravity_odom
         (3,) roughly down in the odometry's frame, as ``GravityTracker`` has it.
+    seed
+        Of the points and the poses that alignment draws.
 
     Examples
     --------
-    >>> recogniser = PlaceRecogniser(RecogniserParams())
+    >>> recogniser = PlaceRecogniser()
     >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
     ...     view_id = recogniser.add(frame, T_odom_camera)
-    ...     matches = recogniser.recognise(view_id, view_id - 20)
+    ...     for match in recogniser.recognise(view_id, view_id - 20)[:1]:  # the best, of old ones
+    ...         print(match.view_id, match.seen, match.T_match_query)
     """
 
     def __init__(
-        self, params: RecogniserParams, *, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)
+        self,
+        params: RecogniserParams | None = None,
+        *,
+        gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
+        seed: int = 0,
     ) -> None:
-        self.params = params
+        self.params = params or RecogniserParams()
         self._gravity = GravityTracker(gravity_odom)
         self._panorama, self._slices = Panorama(), Slices()
         self._panoramas = Stack(self._panorama.shape, np.complex64)
         self._plans = Stack(self._slices.shape, np.complex64)
         self._R_level_camera = Stack((3, 3), np.float64)
         self._T_odom_camera = Stack((4, 4), np.float64)
-        self._aligner = ViewAligner(params.alignment)
+        self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._before: tuple[int, list[PlaceMatch]] = (0, [])
 
     def __len__(self) -> int:
@@ -128,7 +135,7 @@ class PlaceRecogniser:
         """Return which of the first ``n_views`` views look alike, unaligned."""
         p = self.params
         scores = self._panorama.compare(
-            self._panoramas.rows[:n_views], self._panoramas.rows[view_id]
+            self._panoramas.rows[: max(n_views, 0)], self._panoramas.rows[view_id]
         )
         some = np.argsort(-scores, kind="stable")[: p.n_plans]
         turned = self._slices.spectra(self._points_level(view_id))

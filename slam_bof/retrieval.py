@@ -57,6 +57,7 @@ def evaluate_places(
     training: Sequence[Dataset] = (),
     params: ProtocolParams | None = None,
     n_words: int = 1024,
+    recogniser: RecogniserParams | None = None,
     odometry: str = "kiss-icp",
     seed: int = 0,
     on_progress: Progress = lambda what, done, total: None,
@@ -73,8 +74,8 @@ def evaluate_places(
     training
         Sequences whose frames vocabularies are learnt of. Without any, ``bof`` has the model that
         comes along, and other local features are left out.
-    odometry
-        The plug-in that the recogniser is beside.
+    recogniser, odometry
+        Parameters of the recogniser, and the plug-in that it is beside.
     on_scored
         Called with each sequence, its frames that ask and answer, what a method says of them, and
         what is right and what may answer, (K, K) each.
@@ -103,7 +104,9 @@ def evaluate_places(
             for name in names:
                 if name == RECOGNISER:
                     built: Odometry = registry.build("odometry", odometry)
-                    found = _recognise(built, dataset, indices, allowed, seed, on_progress)
+                    found = _recognise(
+                        recogniser, built, dataset, indices, allowed, seed, on_progress
+                    )
                 else:
                     descriptor: Descriptor = registry.build("descriptors", name)
                     missing = _missing(name, descriptor, dataset, training)
@@ -205,6 +208,7 @@ def _compare(
 
 
 def _recognise(
+    params: RecogniserParams | None,
     odometry: Odometry,
     dataset: Dataset,
     indices: Sequence[int],
@@ -213,9 +217,7 @@ def _recognise(
     on_progress: Progress,
 ) -> list[Scored]:
     """Judge the recogniser twice: by what looks alike, and by what it says after aligning."""
-    params = RecogniserParams()
-    alignment = params.alignment.model_copy(update={"seed": seed})
-    recogniser = PlaceRecogniser(params.model_copy(update={"alignment": alignment}))
+    recogniser = PlaceRecogniser(params, seed=seed)
     describe, retrieve, align = Cost(), Cost(), Cost()
     alike = np.full(allowed.shape, -np.inf, np.float32)
     aligned = alike.copy()

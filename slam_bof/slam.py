@@ -92,7 +92,10 @@ class LoopCloser:
             model=model,
             selector=KeyframeSelector(config.keyframes),
             detector=LoopDetector(
-                config.loops, model.vocabulary.n_words, gravity_odom=config.gravity_odom
+                config.loops,
+                model.vocabulary.n_words,
+                gravity_odom=config.gravity_odom,
+                seed=config.seed,
             ),
             covisibility=config.covisibility,
             cloud=config.cloud,

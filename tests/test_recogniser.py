@@ -27,7 +27,7 @@ def tour(look, standpoint):
 @pytest.fixture(scope="module")
 def recogniser(tour):
     frames, poses = tour
-    recogniser = PlaceRecogniser(RecogniserParams())
+    recogniser = PlaceRecogniser()
     ids = [recogniser.add(f, se3.inverse(poses[0]) @ T) for f, T in zip(frames, poses, strict=True)]
     assert ids == list(range(len(frames)))
     return recogniser
@@ -92,7 +92,7 @@ def test_the_same_frames_give_the_same_answers(tour):
 
 def test_an_empty_frame_is_like_nothing(tour):
     (frame, *_), _ = tour
-    recogniser = PlaceRecogniser(RecogniserParams())
+    recogniser = PlaceRecogniser()
     recogniser.add(frame, np.eye(4))
     blind = DepthFrame(1.0, np.zeros_like(frame.depth), frame.intrinsics)
     query = recogniser.add(blind, np.eye(4))
