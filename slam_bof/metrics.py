@@ -74,6 +74,7 @@ def compute_metrics(
         "n_loops": len(loops),
         "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),
+        "n_edges_left_out": len(closer.loops_left_out),
         "n_covisibility_edges": len(closer.loops) - len(loops),
         "ate_odometry_m": None,
         "ate_m": None,

@@ -24,6 +24,7 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "n_loops": ("loops accepted", "{}"),
         "n_loops_recognised": ("of these, found by place recognition", "{}"),
         "n_loops_rejected": ("pairs rejected", "{}"),
+        "n_edges_left_out": ("accepted edges left out at the end", "{}"),
         "n_covisibility_edges": ("covisibility edges", "{}"),
         "loop_precision": ("loops within 0.10 m and 5° of ground truth", "{:.1%}"),
         "loop_recall": ("revisiting keyframes that got a loop", "{:.1%}"),

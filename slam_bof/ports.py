@@ -125,8 +125,12 @@ class Backend(Protocol):
     def update(self) -> None:
         """Optimise incrementally with all that came since the last call."""
 
-    def optimize(self) -> None:
-        """Optimise the whole graph until it converges."""
+    def optimize(self) -> NDArray[np.float64]:
+        """Optimise the whole graph until it converges.
+
+        Returns the weight of each loop in [0, 1], in the order they were added. Those below 0.5
+        contradict the rest and were left out.
+        """
 
     def poses(self) -> Array:
         """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""

@@ -28,6 +28,8 @@ from slam_bof.types import Candidate, Keyframe, Step, Trajectory
 
 __all__ = ["RunResult", "run_sequence"]
 
+LEFT_OUT = "contradicts the other loops, weighed all together at the end"
+
 logger = logging.getLogger(__name__)
 
 
@@ -98,6 +100,7 @@ def run_sequence(
             used = Usage.now() - started
             T_map_camera = closer.backend.poses()
             store.set_map_poses(T_map_camera)
+            store.leave_out(closer.loops_left_out, LEFT_OUT)
             candidates = store.candidates()
         groundtruth = dataset.groundtruth()
         keyframe_frames = [int(result.indices[k.frame_index]) for k in closer.keyframes]

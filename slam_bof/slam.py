@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -63,6 +64,7 @@ class LoopCloser:
     ) -> None:
         self.keyframes: list[Keyframe] = []
         self.loops: list[Loop] = []
+        self.loops_left_out: list[Loop] = []
         self.backend = backend
         self._describer = model.describer()
         self._scenes = model.scenes
@@ -73,6 +75,7 @@ class LoopCloser:
         self._gravity_odom = np.asarray(gravity_odom, dtype=np.float64)
         self._verification = verification
         self._clock = clock or StageClock()
+        self._added: list[Loop] = []
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
         self._T_map_odom: Pose = np.eye(4)
@@ -123,10 +126,15 @@ class LoopCloser:
         return Step(None, self.keyframes[-1].scene, (), (), self._T_map_odom)
 
     def finish(self) -> Trajectory:
-        """Optimise the whole graph; return ``T_map_camera`` of every frame processed."""
+        """Optimise the whole graph; return ``T_map_camera`` of every frame processed.
+
+        Loops that contradict the rest move from ``loops`` to ``loops_left_out``.
+        """
         with self._clock.stage("optimize"):
-            if self.loops:
-                self.backend.optimize()
+            if self._added:
+                kept = self.backend.optimize() >= 0.5
+                self.loops = list(itertools.compress(self._added, kept))
+                self.loops_left_out = list(itertools.compress(self._added, ~kept))
         if not self.keyframes:
             return Trajectory()
         stamps_s, T_odom_camera = np.array(self._stamps_s), np.array(self._T_odom_camera)
@@ -159,6 +167,7 @@ class LoopCloser:
         with self._clock.stage("optimize"):
             for loop in loops:
                 self.backend.add_loop(loop)
+                self._added.append(loop)
             self.backend.update()
             T_map_camera = self.backend.poses()[-1]
         self._T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)

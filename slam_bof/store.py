@@ -158,6 +158,18 @@ class MapStore:
                 [(loop.query_id, loop.match_id, loop.source) for loop in loops],
             )
 
+    def leave_out(self, loops: Iterable[Loop], reason: str) -> None:
+        """Take loops out of the graph again; their candidates become rejected, with the reason."""
+        pairs = [(loop.query_id, loop.match_id, loop.source) for loop in loops]
+        where = "WHERE query_id = ? AND match_id = ? AND source = ?"
+        with self._transaction():
+            self._db.executemany(f"DELETE FROM loops {where}", pairs)
+            self._db.executemany(
+                f"UPDATE candidates SET decision = 'rejected', reason = ? {where} "
+                "AND decision = 'accepted'",
+                [(reason, *pair) for pair in pairs],
+            )
+
     def set_map_poses(self, T_map_camera: Array) -> None:
         """Save the optimised poses (K, 4, 4) of all keyframes, in the order of their ids."""
         ids = [row["id"] for row in self.select("SELECT id FROM keyframes ORDER BY id")]

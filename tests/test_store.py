@@ -309,3 +309,20 @@ def test_a_loop_that_was_held_is_accepted_when_it_is_added(path: Path) -> None:
         store.add(make_keyframe(1), [held, other])
         store.add(make_keyframe(2), [], [make_loop(1, 0)])
         assert [c.decision for c in store.candidates()] == ["accepted", "rejected"]
+
+
+def test_a_loop_that_is_left_out_is_rejected_with_the_reason(path: Path) -> None:
+    accepted = [Candidate(2, i, "view", decision="accepted") for i in (0, 1)]
+    held = Candidate(1, 0, "view", decision="held", reason="no other agrees")
+    loops = [replace(make_loop(2, i), source="view") for i in (0, 1)]
+    with MapStore.create(path) as store:
+        store.add(make_keyframe(0))
+        store.add(make_keyframe(1), [held])
+        store.add(make_keyframe(2), accepted, loops)
+        store.leave_out(loops[1:], "contradicts the others")
+        assert [(loop.query_id, loop.match_id) for loop in store.loops()] == [(2, 0)]
+        assert [(c.decision, c.reason) for c in store.candidates()] == [
+            ("held", "no other agrees"),
+            ("accepted", ""),
+            ("rejected", "contradicts the others"),
+        ]

@@ -1,5 +1,6 @@
 """The pose graph in GTSAM: iSAM2 while frames come, Levenberg-Marquardt at the end.
 
+Before the end all loops are weighed together, and those that contradict the rest are left out.
 GTSAM's traps are kept here: Pose3's tangent is rotation first; a non-orthonormal Rot3 kills the
 interpreter; one iSAM2 update after a loop has not converged.
 """
@@ -10,10 +11,19 @@ from pathlib import Path
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
+from slam_bof_plugins.gtsam_selection import (
+    Edge,
+    SelectionParams,
+    optimized,
+    pose3,
+    poses_of,
+    weigh_loops,
+)
 
 __all__ = ["GtsamBackend", "GtsamParams"]
 
@@ -27,6 +37,8 @@ class GtsamParams(Params):
     cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
     n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
     max_iterations: int = Field(50, gt=0)
+    select_loops: bool = Field(True, description="leave out, at the end, what contradicts the rest")
+    selection: SelectionParams = SelectionParams()
 
 
 class GtsamBackend:
@@ -37,12 +49,14 @@ class GtsamBackend:
     def __init__(self, params: GtsamParams | None = None) -> None:
         self.params = p = params or GtsamParams()
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
-        self._graph = gtsam.NonlinearFactorGraph()
+        self._odometry = gtsam.NonlinearFactorGraph()
+        self._loops: list[tuple[Edge, gtsam.noiseModel.Gaussian]] = []
+        self._weights: NDArray[np.float64] = np.empty(0)
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
         self._estimate = gtsam.Values()
         self._T_odom_camera: list[Pose] = []
-        self._edges: list[tuple[int, int, gtsam.Pose3, gtsam.noiseModel.Gaussian]] = []
+        self._stamps_s: list[float] = []
         self._has_new_loop = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
@@ -52,34 +66,28 @@ class GtsamBackend:
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Add a node where the odometry puts it, tied to the node before it."""
         key = len(self._T_odom_camera)
+        factor: gtsam.NonlinearFactor
         if key == 0:
-            node = _pose3(keyframe.T_odom_camera)
-            self._add_factor(gtsam.PriorFactorPose3(key, node, self._prior_noise))
+            node = pose3(keyframe.T_odom_camera)
+            factor = gtsam.PriorFactorPose3(key, node, self._prior_noise)
         else:
-            motion = _pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
-            self._add_factor(gtsam.BetweenFactorPose3(key - 1, key, motion, self._odometry_noise))
-            self._edges.append((key - 1, key, motion, self._odometry_noise))
+            motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
+            factor = gtsam.BetweenFactorPose3(key - 1, key, motion, self._odometry_noise)
             node = self._estimate.atPose3(key - 1).compose(motion)
+        self._odometry.add(factor)
+        self._new_factors.add(factor)
         self._new_values.insert(key, node)
         self._estimate.insert(key, node)
         self._T_odom_camera.append(keyframe.T_odom_camera)
+        self._stamps_s.append(keyframe.stamp_s)
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace."""
-        p = self.params
         shape = loop.information / np.trace(loop.information) * 6.0
-        noise = gtsam.noiseModel.Gaussian.Information(shape / p.loop_sigma**2)
-        kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(p.cauchy)
-        measured = _pose3(loop.T_match_query)
-        self._add_factor(
-            gtsam.BetweenFactorPose3(
-                loop.match_id,
-                loop.query_id,
-                measured,
-                gtsam.noiseModel.Robust.Create(kernel, noise),
-            )
-        )
-        self._edges.append((loop.match_id, loop.query_id, measured, noise))
+        noise = gtsam.noiseModel.Gaussian.Information(shape / self.params.loop_sigma**2)
+        edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
+        self._loops.append((edge, noise))
+        self._new_factors.add(self._robust(edge, noise))
         self._has_new_loop = True
 
     def update(self) -> None:
@@ -92,30 +100,42 @@ class GtsamBackend:
             self._has_new_loop = False
         self._estimate = self._isam.calculateEstimate()
 
-    def optimize(self) -> None:
-        """Optimise the whole graph until it converges."""
-        params = gtsam.LevenbergMarquardtParams()
-        params.setMaxIterations(self.params.max_iterations)
-        optimizer = gtsam.LevenbergMarquardtOptimizer(self._graph, self._estimate, params)
-        self._estimate = optimizer.optimize()
+    def optimize(self) -> NDArray[np.float64]:
+        """Optimise the whole graph until it converges; return the weight of each loop, (L,)."""
+        p = self.params
+        self._weights = np.ones(len(self._loops))
+        if p.select_loops and self._loops:
+            self._weights, self._estimate = weigh_loops(
+                np.array(self._T_odom_camera),
+                self._stamps_s,
+                [edge for edge, _ in self._loops],
+                p.selection,
+            )
+        graph = gtsam.NonlinearFactorGraph(self._odometry)
+        for loop in self._kept():
+            graph.add(self._robust(*loop))
+        self._estimate = optimized(graph, self._estimate, p.max_iterations)
+        return self._weights
 
     def poses(self) -> Array:
         """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
-        poses = [self._estimate.atPose3(key).matrix() for key in range(len(self._T_odom_camera))]
-        return np.array(poses).reshape(-1, 4, 4)
+        return poses_of(self._estimate, len(self._T_odom_camera))
 
     def write_g2o(self, path: Path) -> None:
         """Write nodes and edges as .g2o; GTSAM puts the translation first, as g2o has it."""
         graph = gtsam.NonlinearFactorGraph()
-        for match, query, measured, noise in self._edges:
+        for key in range(1, self._odometry.size()):
+            graph.add(self._odometry.at(key))
+        for edge, noise in self._kept():
             # Robust models have no place in the format: the plain one is written.
-            graph.add(gtsam.BetweenFactorPose3(match, query, measured, noise))
+            graph.add(gtsam.BetweenFactorPose3(*edge, noise))
         gtsam.writeG2o(graph, self._estimate, str(path))
 
-    def _add_factor(self, factor: gtsam.NonlinearFactor) -> None:
-        self._graph.add(factor)
-        self._new_factors.add(factor)
+    def _kept(self) -> list[tuple[Edge, gtsam.noiseModel.Gaussian]]:
+        """Return the loops that were not left out when the graph was last optimised."""
+        left_out = np.flatnonzero(self._weights < 0.5)
+        return [loop for k, loop in enumerate(self._loops) if k not in left_out]
 
-
-def _pose3(T: Pose) -> gtsam.Pose3:
-    return gtsam.Pose3(gtsam.Rot3(se3.nearest_rotation(T[:3, :3])), T[:3, 3])
+    def _robust(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.NonlinearFactor:
+        kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.params.cauchy)
+        return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))

@@ -3,7 +3,7 @@ import pytest
 
 from slam_bof import se3
 from slam_bof.types import Bag, Keyframe, Loop
-from slam_bof_plugins.backend_gtsam import GtsamBackend
+from slam_bof_plugins.backend_gtsam import GtsamBackend, GtsamParams
 
 N = 24
 EMPTY = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
@@ -36,9 +36,9 @@ def loop(truth, query_id, match_id, *, information=None, wrong=None):
     )
 
 
-def add_keyframes(backend, poses):
+def add_keyframes(backend, poses, period_s=1.0):
     for i, T in enumerate(poses):
-        backend.add_keyframe(Keyframe(i, i, float(i), T, EMPTY, None))
+        backend.add_keyframe(Keyframe(i, i, period_s * i, T, EMPTY, None))
         backend.update()
 
 
@@ -87,6 +87,71 @@ def test_a_wrong_loop_among_true_ones_bends_little(drifted):
     backend.update()
     backend.optimize()
     assert error_m(backend.poses(), truth) < error_m(odometry, truth)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_wrong_loops_are_left_out_and_harm_nothing(share):
+    """Wrong loops among as many again, or more, that are right: the outliers of issue reports."""
+    truth, odometry = circle()
+    truth, odometry = (np.concatenate([T, T[-1] @ T[1:]]) for T in (truth, odometry))  # twice round
+    right = [loop(truth, N + i, i) for i in range(0, N, 2)]
+    rng = np.random.default_rng(1)
+    wrong = [
+        loop(truth, N + 1 + k, 1 + k, wrong=se3.exp(rng.normal(0, 0.5, 6)))
+        for k in range(round(share * len(right)))
+    ]
+    clean, outliers = GtsamBackend(), GtsamBackend()
+    for backend, loops in ((clean, right), (outliers, wrong + right)):
+        add_keyframes(backend, odometry)
+        for found in loops:
+            backend.add_loop(found)
+        backend.update()
+    assert clean.optimize().tolist() == pytest.approx([1.0] * len(right))
+    weights = outliers.optimize()
+    assert (weights < 0.5).tolist() == [True] * len(wrong) + [False] * len(right)
+    np.testing.assert_allclose(outliers.poses(), clean.poses(), atol=1e-3)
+
+
+def test_many_alike_wrong_loops_give_way_to_more_right_ones():
+    """Ten keyframes along one corridor that look like another: each agrees with the next."""
+    truth, odometry = circle()
+    truth, odometry = (np.concatenate([T, T[-1] @ T[1:]]) for T in (truth, odometry))
+    right = [loop(truth, N + i, i) for i in range(12, N)]
+    corridor = se3.pose(np.eye(3), [1.0, 0.0, 0.0])
+    wrong = [loop(truth, N + i, i, wrong=corridor) for i in range(1, 5)]
+    backend = GtsamBackend()
+    add_keyframes(backend, odometry)
+    for found in wrong + right:
+        backend.add_loop(found)
+        backend.update()
+    assert (backend.optimize() < 0.5).tolist() == [True] * len(wrong) + [False] * len(right)
+    assert error_m(backend.poses(), truth) < error_m(odometry, truth)
+
+
+def test_a_slip_that_neighbours_mend_is_not_held_against_loops():
+    truth, odometry = circle()
+    truth, odometry = (np.concatenate([T, T[-1] @ T[1:]]) for T in (truth, odometry))
+    slip = se3.exp(np.array([0.0, 0.3, 0.0, 0.2, 0.0, 0.2]))
+    odometry[30:] = odometry[29] @ slip @ se3.inverse(odometry[29]) @ odometry[30:]
+    backend = GtsamBackend()
+    add_keyframes(backend, odometry, period_s=0.3)
+    for query in (30, 31, 32):
+        for match in (27, 28, 29):
+            backend.add_loop(loop(truth, query, match))
+    for i in range(N):
+        backend.add_loop(loop(truth, N + i, i))
+    backend.update()
+    assert (backend.optimize() >= 0.5).mean() > 0.9
+    assert error_m(backend.poses(), truth) < 0.1
+
+
+def test_selection_can_be_turned_off():
+    truth, odometry = circle()
+    backend = GtsamBackend(GtsamParams(select_loops=False))
+    add_keyframes(backend, odometry)
+    backend.add_loop(loop(truth, N, 0, wrong=se3.pose(np.eye(3), [2.0, 0.0, 0.0])))
+    backend.update()
+    assert backend.optimize().tolist() == [1.0]
 
 
 def test_an_unobserved_direction_is_left_to_odometry():

@@ -1,0 +1,132 @@
+"""Which loops of a pose graph agree with each other and with what odometry can have drifted.
+
+Graduated non-convexity (Yang et al., RA-L 2020) over all loops at once, with truncated least
+squares: it finds the few that contradict the many, which a robust kernel cannot undo once they
+have bent the graph. First the motion from keyframe to keyframe is settled by odometry and the
+edges between neighbours in time, under robust kernels, so that a slip of odometry that its
+neighbours mend is not held against the loops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.types import Array, Params, Pose
+
+__all__ = ["Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]
+
+ROOT_SIGMA = 1e-6
+
+
+class SelectionParams(Params):
+    """Sigmas are in rad and in m alike."""
+
+    step_sigma: float = Field(0.01, gt=0, description="of a settled step between keyframes")
+    loop_sigma: float = Field(0.05, gt=0, description="of a loop that is right")
+    inlier_probability: float = Field(0.99, gt=0, lt=1, description="that a right one is kept")
+    local_s: float = Field(3.0, gt=0, description="edges over less time settle the steps")
+    local_sigma: float = Field(0.02, gt=0, description="of these and of odometry, while settling")
+
+
+class Edge(NamedTuple):
+    """A loop between two nodes: ``measured`` is ``T_match_query``."""
+
+    match: int
+    query: int
+    measured: gtsam.Pose3
+
+
+def weigh_loops(
+    T_odom_camera: Array, stamps_s: Sequence[float], edges: Sequence[Edge], params: SelectionParams
+) -> tuple[NDArray[np.float64], gtsam.Values]:
+    """Weigh each edge in [0, 1]: near 0 where it contradicts the others.
+
+    Parameters
+    ----------
+    T_odom_camera
+        (K, 4, 4) odometry of the nodes.
+    stamps_s
+        (K,) their times; edges over less than ``local_s`` are not judged and weigh 1.
+
+    Returns
+    -------
+    weights : (E,)
+    values
+        The nodes as those that agree have them: where to start optimising from.
+    """
+    far = [abs(stamps_s[e.query] - stamps_s[e.match]) >= params.local_s for e in edges]
+    weights = np.ones(len(edges))
+    settled = _settle(
+        T_odom_camera, [e for e, is_far in zip(edges, far, strict=True) if not is_far], params
+    )
+    if not any(far):
+        return weights, _values(settled)
+    graph = _chain(settled, gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma))
+    n_known = graph.size()
+    noise = gtsam.noiseModel.Isotropic.Sigma(6, params.loop_sigma)
+    for edge, is_far in zip(edges, far, strict=True):
+        if is_far:
+            graph.add(gtsam.BetweenFactorPose3(*edge, noise))
+    gnc = gtsam.GncLMParams()
+    gnc.setKnownInliers(list(range(n_known)))
+    optimizer = gtsam.GncLMOptimizer(graph, _values(settled), gnc)
+    optimizer.setInlierCostThresholdsAtProbability(params.inlier_probability)
+    values = optimizer.optimize()
+    weights[far] = np.asarray(optimizer.getWeights())[n_known:]
+    return weights, values
+
+
+def pose3(T: Pose) -> gtsam.Pose3:
+    """Return a (4, 4) transform as GTSAM's; one that is not quite rigid would kill the process."""
+    return gtsam.Pose3(gtsam.Rot3(se3.nearest_rotation(T[:3, :3])), T[:3, 3])
+
+
+def poses_of(values: gtsam.Values, n: int) -> Array:
+    """Return the first ``n`` nodes as (n, 4, 4)."""
+    return np.array([values.atPose3(key).matrix() for key in range(n)]).reshape(-1, 4, 4)
+
+
+def optimized(
+    graph: gtsam.NonlinearFactorGraph, initial: gtsam.Values, max_iterations: int = 50
+) -> gtsam.Values:
+    """Return the values where Levenberg-Marquardt converges."""
+    params = gtsam.LevenbergMarquardtParams()
+    params.setMaxIterations(max_iterations)
+    return gtsam.LevenbergMarquardtOptimizer(graph, initial, params).optimize()
+
+
+def _settle(T_odom_camera: Array, edges: Sequence[Edge], params: SelectionParams) -> Array:
+    """Return the nodes (K, 4, 4) by odometry and the edges between neighbours, all robust."""
+    noise = gtsam.noiseModel.Robust.Create(
+        gtsam.noiseModel.mEstimator.Cauchy.Create(1.0),
+        gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma),
+    )
+    graph = _chain(T_odom_camera, noise)
+    for edge in edges:
+        graph.add(gtsam.BetweenFactorPose3(*edge, noise))
+    return poses_of(optimized(graph, _values(T_odom_camera)), len(T_odom_camera))
+
+
+def _chain(poses: Array, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactorGraph:
+    """Return a graph that holds the first node fast and each other one to the one before it."""
+    graph = gtsam.NonlinearFactorGraph()
+    fast = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
+    graph.add(gtsam.PriorFactorPose3(0, pose3(poses[0]), fast))
+    steps = se3.inverse(poses[:-1]) @ poses[1:]
+    for key, step in enumerate(steps):
+        graph.add(gtsam.BetweenFactorPose3(key, key + 1, pose3(step), noise))
+    return graph
+
+
+def _values(poses: Array) -> gtsam.Values:
+    values = gtsam.Values()
+    for key, pose in enumerate(poses):
+        values.insert(key, pose3(pose))
+    return values
