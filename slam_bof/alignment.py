@@ -16,10 +16,10 @@ from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.stack import Stack
-from slam_bof.types import Array, Intrinsics, Params
+from slam_bof.types import Array, Intrinsics, Params, Pose
 from slam_bof.views import View
 
-__all__ = ["Agreement", "AlignmentParams", "ViewAligner"]
+__all__ = ["Agreement", "AlignmentParams", "SurfacePairs", "ViewAligner"]
 
 Indices = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
@@ -55,6 +55,26 @@ class Agreement(NamedTuple):
     """Share of a view's points that the other sees too; the smaller of both ways."""
     blocking: Floats
     """Share of its points that would block what the other sees; both ways added."""
+
+
+class SurfacePairs(NamedTuple):
+    """Points of a query that lie on a surface of the match, all in the query's camera frame."""
+
+    points_query: Floats
+    """(M, 3)."""
+    normals_query: Floats
+    """(M, 3), of the match's surface."""
+    residuals_m: Floats
+    """(M,) from the point to the surface, along the normal."""
+
+
+class _Association(NamedTuple):
+    """For n matches and m points: points and normals (n, m, 3) in the matches' frames."""
+
+    points: Floats
+    normals: Floats
+    residuals_m: Floats
+    matched: NDArray[np.bool_]
 
 
 class ViewAligner:
@@ -113,8 +133,40 @@ class ViewAligner:
 
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
-        poses = self._search(query, matches, starts.astype(np.float32))
-        return self._refine(query, matches, poses).astype(np.float64)
+        return self.refine(query, matches, self._search(query, matches, starts.astype(np.float32)))
+
+    def refine(self, query: int, matches: Indices, T_match_query: Floats) -> Array:
+        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch."""
+        p = self.params
+        T: Floats = T_match_query.astype(np.float32)
+        for gate in np.geomspace(*p.gates_m, p.n_iterations).tolist():
+            found = self._associate(query, matches, T, gate)
+            # Geman-McClure, and less for what is far, whose depth is less sure.
+            robust = (1.0 + (2.0 * found.residuals_m / gate) ** 2) ** -2
+            weight = np.where(found.matched, robust / (0.2 + 0.2 * found.points[..., 2] ** 2), 0.0)
+            turn = np.cross(found.points, found.normals)
+            T = _exp(_solve(turn, found.normals, found.residuals_m, weight)) @ T
+        return T.astype(np.float64)
+
+    def surface_pairs(self, query: int, match: int, T_match_query: Pose) -> SurfacePairs:
+        """Return what the two see of the same surfaces at a pose (4, 4), within the last gate."""
+        T = T_match_query[None].astype(np.float32)
+        found = self._associate(query, np.array([match]), T, self.params.gates_m[-1])
+        matched = found.matched[0]
+        pixels = self._surface.rows[query][matched]
+        R_query_match = T_match_query[:3, :3].T
+        return SurfacePairs(
+            self._points(query, pixels),
+            found.normals[0][matched] @ R_query_match.T,
+            found.residuals_m[0][matched],
+        )
+
+    def seen(self, query: int, match: int, T_match_query: Pose) -> tuple[float, float]:
+        """Return the shares of the query's points that the match sees, and that block it."""
+        points = self._points(query, self._sampled.rows[query])
+        T = T_match_query[None].astype(np.float32)
+        seen, blocking = self._shares(points, np.array([match]), T)
+        return float(seen[0]), float(blocking[0])
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
@@ -172,31 +224,22 @@ class ViewAligner:
         worth = np.maximum(1.0 - np.abs(off) / allowed, 0.0) - 0.5 * (off < -allowed)
         return np.asarray(np.where(inside & (there > 0), worth, 0.0).mean(axis=-1))
 
-    def _refine(self, query: int, matches: Indices, poses: Floats) -> Floats:
-        """Run point-to-plane ICP for all pairs; a pixel's match is what the other sees there."""
-        p = self.params
+    def _associate(self, query: int, matches: Indices, T: Floats, gate_m: float) -> _Association:
+        """Pair the query's surface points with what the others see at the pixels they fall on."""
         pixels = self._surface.rows[query]
-        points, normals = self._points(query, pixels), self._normal(query, pixels)
-        T: Floats = poses.astype(np.float32)
-        for gate in np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32):
-            R_t = T[:, :3, :3].transpose(0, 2, 1)
-            moved = points @ R_t + T[:, None, :3, 3]
-            pixels, inside = self._project(*np.moveaxis(moved, -1, 0))
-            other = self._points(matches[:, None], pixels)
-            normal = self._normal(matches[:, None], pixels)
-            gap = other - moved
-            residual = _dot(gap, normal)
-            matched = (
-                inside
-                & (_dot(gap, gap) < 4.0 * gate * gate)
-                & (np.abs(residual) < gate)
-                & (_dot(normal, normals @ R_t) > MIN_COSINE)
-            )
-            # Geman-McClure, and less for what is far, whose depth is less sure.
-            robust = (1.0 + (2.0 * residual / gate) ** 2) ** -2
-            weight = np.where(matched, robust / (0.2 + 0.2 * other[..., 2] ** 2), 0.0)
-            T = _exp(_solve(np.cross(moved, normal), normal, residual, weight)) @ T
-        return T
+        R_t = T[:, :3, :3].transpose(0, 2, 1)
+        moved = self._points(query, pixels) @ R_t + T[:, None, :3, 3]
+        fallen, inside = self._project(*np.moveaxis(moved, -1, 0))
+        gap = self._points(matches[:, None], fallen) - moved
+        normals = self._normal(matches[:, None], fallen)
+        residuals_m = _dot(gap, normals)
+        matched = (
+            inside
+            & (_dot(gap, gap) < 4.0 * gate_m**2)
+            & (np.abs(residuals_m) < gate_m)
+            & (_dot(normals, self._normal(query, pixels) @ R_t) > MIN_COSINE)
+        )
+        return _Association(moved, normals, residuals_m, matched)
 
     def _shares(self, points: Floats, frames: Indices, T: Floats) -> tuple[Floats, Floats]:
         """Return the shares of points that the frames see, and that block what they see."""

@@ -51,7 +51,7 @@ class Config(Params):
     seed: int = Field(0, ge=0)
     dataset: str = Field("auto", description="a data-set plug-in; auto looks at the folder")
     odometry: PluginChoice = PluginChoice(name="kiss-icp")
-    verifier: PluginChoice = PluginChoice(name="open3d")
+    verifier: PluginChoice = PluginChoice(name="projective")
     backend: PluginChoice = PluginChoice(name="gtsam")
     keyframes: KeyframeParams = KeyframeParams()
     loops: LoopParams = LoopParams()
@@ -63,7 +63,8 @@ class Config(Params):
         "by default the first camera is taken as level",
     )
     cloud: PointParams = Field(
-        PointParams(stride=4, max_range_m=4.0), description="the points that verification sees"
+        PointParams(stride=4, max_range_m=4.0),
+        description="the points of a keyframe that overlap is measured on, and verifiers of clouds see",
     )
 
     @field_validator("odometry", "verifier", "backend", mode="before")

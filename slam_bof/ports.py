@@ -103,8 +103,8 @@ class Odometry(Protocol):
 class Verifier(Protocol):
     """Decides by geometry whether two keyframes show the same place, and from where."""
 
-    def prepare(self, points_camera: Array) -> Any:
-        """Make of points (N, 3) what ``verify`` needs; kept with the keyframe."""
+    def prepare(self, frame: DepthFrame, points_camera: Array) -> Any:
+        """Make of a depth image, or of its points (N, 3), what ``verify`` needs of a keyframe."""
 
     def verify(
         self, query: Any, match: Any, *, T_match_query: Pose | None = None, seed: int = 0

@@ -159,7 +159,7 @@ class LoopCloser:
             candidates = found.candidates + self._find_covisible(
                 keyframe, points, frame, {c.match_id for c in found.candidates if not c.decision}
             )
-            self._verification.add(points)
+            self._verification.add(frame, points)
             candidates, loops = self._verification.verify(
                 candidates, self.backend.poses(), guesses=found.guesses
             )

@@ -13,7 +13,7 @@ from pydantic import Field
 from slam_bof import se3
 from slam_bof.consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.ports import Verifier
-from slam_bof.types import Array, Candidate, Loop, Params, Pose, Verification
+from slam_bof.types import Array, Candidate, DepthFrame, Loop, Params, Pose, Verification
 
 __all__ = ["LoopVerification", "VerificationParams"]
 
@@ -26,7 +26,7 @@ class VerificationParams(Params):
     alike the views are too.
     """
 
-    min_overlap: float = Field(0.65, ge=0, le=1, description="of a loop's two clouds")
+    min_overlap: float = Field(0.6, ge=0, le=1, description="of a loop's two clouds")
     max_view_distance_m: float = Field(1.0, gt=0, description="between views with like bags")
     max_view_angle_rad: float = Field(0.7, gt=0, description="between views with like bags")
     slack_m: float = Field(0.5, ge=0, description="a loop may move the map by this, plus drift")
@@ -44,11 +44,11 @@ class LoopVerification:
         self._verifier = verifier
         self._gate = ConsistencyGate(params.consistency)
         self._seed = seed
-        self._clouds: list[Any] = []
+        self._prepared: list[Any] = []
 
-    def add(self, points_camera: Array) -> None:
-        """Take the next keyframe's points (N, 3)."""
-        self._clouds.append(self._verifier.prepare(points_camera))
+    def add(self, frame: DepthFrame, points_camera: Array) -> None:
+        """Take the next keyframe: its depth image, and the points (N, 3) chosen of it."""
+        self._prepared.append(self._verifier.prepare(frame, points_camera))
 
     def verify(
         self,
@@ -113,13 +113,13 @@ class LoopVerification:
         Where the map is good already, the global search, ten times the cost, is spared.
         """
         query_id, match_id = candidate.query_id, candidate.match_id
-        clouds = self._clouds[query_id], self._clouds[match_id]
+        pair = self._prepared[query_id], self._prepared[match_id]
         if T_match_query is None:
             T_match_query = se3.inverse(T_map_camera[match_id]) @ T_map_camera[query_id]
-        verified = self._verifier.verify(*clouds, T_match_query=T_match_query)
+        verified = self._verifier.verify(*pair, T_match_query=T_match_query)
         if verified.accepted or candidate.source != "bag":
             return verified
-        return self._verifier.verify(*clouds, seed=self._seed)
+        return self._verifier.verify(*pair, seed=self._seed)
 
     def _object(self, candidate: Candidate, verified: Verification, T_map_camera: Array) -> str:
         """Return why a well-aligned pair is no loop all the same, or nothing."""

@@ -27,7 +27,20 @@ ORDER = _ROWS.split()
 
 # What a plug-in may know of slam_bof: its records, its helpers, and how depth becomes points
 # and descriptors.
-OPEN_TO_PLUGINS = {"errors", "types", "native", "se3", "trajectory", "ports", "points", "places"}
+OPEN_TO_PLUGINS = set(
+    [
+        "errors",
+        "types",
+        "native",
+        "se3",
+        "trajectory",
+        "ports",
+        "points",
+        "places",
+        "views",
+        "alignment",
+    ]
+)
 
 PACKAGES = {"slam_bof": ROOT / "slam_bof", "slam_bof_plugins": ROOT / "plugins/slam_bof_plugins"}
 

@@ -153,4 +153,4 @@ def test_the_saved_configuration_holds_every_option_of_every_plugin(finished):
     saved = (finished.folder / "config.yaml").read_text()
     assert "max_points_per_voxel:" in saved
     assert "cauchy:" in saved
-    assert "inlier_distance_m:" in saved
+    assert "max_blocking:" in saved

@@ -8,10 +8,11 @@ import pytest
 from slam_bof import se3
 from slam_bof.consistency import ConsistencyParams
 from slam_bof.ports import Verifier
-from slam_bof.types import Candidate, Verification
+from slam_bof.types import Candidate, DepthFrame, Intrinsics, Verification
 from slam_bof.verification import LoopVerification, VerificationParams
 
 ALONE = VerificationParams(consistency=ConsistencyParams(n_required=0))
+UNSEEN = DepthFrame(0.0, np.zeros((1, 1), np.uint16), Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0))
 STAND = np.tile(np.eye(4), (3, 1, 1))
 
 
@@ -22,7 +23,7 @@ class CentroidVerifier:
     overlap: float = 0.9
     turn_rad: float = 0.0
 
-    def prepare(self, points_camera):
+    def prepare(self, frame, points_camera):
         return points_camera.mean(axis=0)
 
     def verify(self, query, match, *, T_match_query=None, seed=0):
@@ -38,7 +39,7 @@ def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND
     verification = LoopVerification(verifier, params)
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]])
     for offset_m in (0.0, 0.0, shift_m):
-        verification.add(points + np.array([offset_m, 0.0, 0.0]))
+        verification.add(UNSEEN, points + np.array([offset_m, 0.0, 0.0]))
     (judged,), loops = verification.verify([candidate], T_map_camera)
     return judged, loops
 

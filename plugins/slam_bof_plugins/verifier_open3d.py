@@ -10,7 +10,7 @@ from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.native import import_open3d
-from slam_bof.types import Array, Params, Pose, Verification
+from slam_bof.types import Array, DepthFrame, Params, Pose, Verification
 
 o3d = import_open3d()
 registration = o3d.pipelines.registration
@@ -52,7 +52,7 @@ class Open3dVerifier:
     def __init__(self, params: Open3dParams | None = None) -> None:
         self.params = params or Open3dParams()
 
-    def prepare(self, points_camera: Array) -> PreparedCloud:
+    def prepare(self, frame: DepthFrame, points_camera: Array) -> PreparedCloud:
         """Thin the points (N, 3) to one a voxel and estimate normals towards the camera."""
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_camera))
         cloud = cloud.voxel_down_sample(self.params.voxel_size_m)

@@ -142,7 +142,7 @@ def test_a_slip_that_neighbours_mend_is_not_held_against_loops():
         backend.add_loop(loop(truth, N + i, i))
     backend.update()
     assert (backend.optimize() >= 0.5).mean() > 0.9
-    assert error_m(backend.poses(), truth) < 0.1
+    assert error_m(backend.poses(), truth) < 0.2 * error_m(odometry, truth)
 
 
 def test_selection_can_be_turned_off():

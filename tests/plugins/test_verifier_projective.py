@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+
+from slam_bof import se3
+from slam_bof.points import PointParams, points_camera
+from slam_bof.ports import Verifier
+from slam_bof.synthetic import spin
+from slam_bof.types import DepthFrame, Intrinsics
+from slam_bof_plugins.verifier_projective import ProjectiveParams, ProjectiveVerifier
+
+CAMERA = Intrinsics(160, 120, 146.25, 146.25, 80.0, 60.0)
+
+
+@pytest.fixture(scope="module")
+def golden(look, standpoint):
+    """Two views of one place, a third the other way, and the true T_match_query."""
+    T_world_match = spin(*standpoint, angle_deg=180.0)[0]
+    T_match_query = se3.exp(np.array([0.05, 0.2, -0.03, 0.15, -0.05, 0.1]))
+    T_match_behind = se3.exp(np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0]))
+    poses = (T_match_query, np.eye(4), T_match_behind)
+    return *(look(T_world_match @ T, i) for i, T in enumerate(poses)), T_match_query
+
+
+def prepare(verifier, *frames):
+    points = PointParams(stride=4)
+    return [verifier.prepare(frame, points_camera(frame, points)) for frame in frames]
+
+
+def assert_golden(verified, T_match_query):
+    error = se3.inverse(T_match_query) @ verified.T_match_query
+    assert verified.accepted, verified.reason
+    assert np.linalg.norm(error[:3, 3]) < 0.02
+    assert np.degrees(se3.rotation_angle(error)) < 0.6
+    assert verified.rmse_m < 0.03
+    assert verified.overlap > 0.6
+
+
+def test_it_recovers_the_golden_pose_from_a_guess(golden):
+    query, match, _, T_match_query = golden
+    verifier = ProjectiveVerifier()
+    assert isinstance(verifier, Verifier)
+    guess = T_match_query @ se3.exp(np.array([0.04, -0.06, 0.03, 0.1, 0.05, -0.08]))
+    verified = verifier.verify(*prepare(verifier, query, match), T_match_query=guess)
+    assert_golden(verified, T_match_query)
+    assert verified.reason == ""
+
+
+def test_it_recovers_the_golden_pose_from_nothing(golden):
+    query, match, _, T_match_query = golden
+    verifier = ProjectiveVerifier()
+    assert_golden(verifier.verify(*prepare(verifier, query, match)), T_match_query)
+
+
+def test_same_input_same_bytes(golden):
+    first, second = (
+        v.verify(*prepare(v, *golden[:2])) for v in [ProjectiveVerifier() for _ in "ab"]
+    )
+    assert first.T_match_query.tobytes() == second.T_match_query.tobytes()
+    assert first.information.tobytes() == second.information.tobytes()
+
+
+def test_views_of_different_things_are_rejected_in_words(golden):
+    query, _, behind, _ = golden
+    verifier = ProjectiveVerifier()
+    verified = verifier.verify(*prepare(verifier, query, behind))
+    assert not verified.accepted
+    assert "overlap" in verified.reason or "before what the other sees" in verified.reason
+
+
+def test_what_blocks_the_view_is_no_loop():
+    """Half of the query stands a metre before the wall that the match sees."""
+    wall = np.full((120, 160), 3.0, np.float32)
+    blocked = wall.copy()
+    blocked[:, :70] = 2.0
+    verifier = ProjectiveVerifier(ProjectiveParams(min_stiffness=0.0))
+    match, query = (DepthFrame(0.0, depth, CAMERA) for depth in (wall, blocked))
+    verified = verifier.verify(*prepare(verifier, query, match), T_match_query=np.eye(4))
+    assert verified.reason == "0.44 of the points stand before what the other sees"
+
+
+def test_a_bare_wall_is_degenerate():
+    wall = DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), CAMERA)
+    verifier = ProjectiveVerifier()
+    verified = verifier.verify(*prepare(verifier, wall, wall), T_match_query=np.eye(4))
+    assert not verified.accepted
+    assert verified.reason.startswith("degenerate: stiffness 0.0000 below")
+    assert np.linalg.matrix_rank(verified.information, tol=1e-3) == 3
+
+
+def test_information_is_that_of_the_query_s_frame(golden):
+    """Moving the query by a small tangent changes the residuals as the information says."""
+    query, match, _, T_match_query = golden
+    verifier = ProjectiveVerifier()
+    verified = verifier.verify(*prepare(verifier, query, match), T_match_query=T_match_query)
+    values, vectors = np.linalg.eigh(verified.information)
+    assert values[0] > 0
+    np.testing.assert_allclose(verified.information, verified.information.T, rtol=1e-6)
+    assert vectors.shape == (6, 6)
+
+
+def test_blind_frames_are_rejected(golden):
+    blind = DepthFrame(0.0, np.zeros_like(golden[0].depth), golden[0].intrinsics)
+    verifier = ProjectiveVerifier()
+    verified = verifier.verify(*prepare(verifier, blind, golden[1]), T_match_query=np.eye(4))
+    assert not verified.accepted
+    assert verified.reason == "no surface in common"
+    assert np.isfinite(verified.T_match_query).all()
