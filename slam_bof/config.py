@@ -64,7 +64,7 @@ class Config(Params):
     )
     cloud: PointParams = Field(
         PointParams(stride=4, max_range_m=4.0),
-        description="the points of a keyframe that overlap is measured on, and verifiers of clouds see",
+        description="what proximity and verifiers of clouds see",
     )
 
     @field_validator("odometry", "verifier", "backend", mode="before")
