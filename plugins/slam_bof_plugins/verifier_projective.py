@@ -1,7 +1,7 @@
 """Geometric verification of depth images: point-to-plane ICP with projective association.
 
 A point's match is what the other image shows at the pixel it falls on (Blais and Levine 1995),
-which takes no search tree and a tenth of the time. Without a guess, random poses about the same
+which takes no search tree. Without a guess, random poses about the same
 view are tried first: that is for views found alike, not for any two.
 """
 
