@@ -65,8 +65,8 @@ class Panorama:
         azimuth = np.floor(np.arctan2(x, z) / np.float32(CELL_RAD)).astype(np.intp) % N_AZIMUTHS
         elevation = (np.arctan2(y, np.sqrt(across2)) - np.float32(TOP_RAD)) / np.float32(CELL_RAD)
         elevation = np.floor(elevation).astype(np.intp)
-        per_octave = np.float32(N_RANGES / np.log(FAR_M / NEAR_M))
-        log_range = np.floor(np.log(ranges / np.float32(NEAR_M)) * per_octave).astype(np.intp)
+        cells_per_fold = np.float32(N_RANGES / np.log(FAR_M / NEAR_M))
+        log_range = np.floor(np.log(ranges / np.float32(NEAR_M)) * cells_per_fold).astype(np.intp)
         inside = (
             (elevation >= 0)
             & (elevation < N_ELEVATIONS)
