@@ -211,7 +211,8 @@ def write_twin(
     Raises
     ------
     DatasetError
-        As ``read_poses`` does, and if the folder exists and holds something else.
+        As ``read_poses`` does, and if the folder exists and holds something else, or the twin of
+        another sequence.
     """
     numbers, given = read_poses(files, sequence)
     poses: Pose = gravity_aligned(given)
@@ -225,6 +226,13 @@ def write_twin(
         "n_frames": len(poses),
     }
     target = folder / name
+    for other in sorted(target.glob("seq-*")):
+        if other.name != sequence:
+            # Each sequence has a room of its own, and a scene folder holds one room.
+            raise DatasetError(
+                f"{target}: found the twin of {other.name}, expected none or that of {sequence}; "
+                "choose another folder"
+            )
     if not is_complete(target, recipe):
         write_scene(
             target,

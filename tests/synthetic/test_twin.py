@@ -87,6 +87,20 @@ def test_a_twin_keeps_frame_numbers_and_counts_the_missing(tmp_path, level):
     np.testing.assert_allclose(written, gravity_aligned(level[:3]), atol=1e-8)
 
 
+def test_the_twin_of_another_sequence_is_not_replaced(tmp_path, level):
+    file = tmp_path / "poses" / "chess.txt"
+    file.parent.mkdir()
+    file.write_text(lines(level[:3], [4, 5, 8]))
+    other = tmp_path / "out" / "chess-twin" / "seq-02"
+    other.mkdir(parents=True)
+    (other.parent / "recipe.json").write_text("{}")
+    with pytest.raises(
+        DatasetError, match="found the twin of seq-02, expected none or that of seq-03"
+    ):
+        write_twin(tmp_path / "out", [file])
+    assert other.is_dir()
+
+
 def test_the_real_chess_trajectory_fits_its_room(shared_data):
     folder = shared_data / "7scenes-poses" / "dslam"
     numbers, poses = read_poses([folder / f"chess_{s}.txt" for s in ("train", "test")], "seq-03")
