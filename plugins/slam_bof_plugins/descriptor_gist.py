@@ -1,7 +1,7 @@
-"""GIST (Oliva and Torralba, IJCV 2001) of the grey image, or of the depth image.
+"""GIST (Oliva and Torralba 2001): how much structure of each scale and direction lies where.
 
-The energy of Gabor filters at several scales and orientations, averaged over the cells of a
-coarse grid, after local contrast is evened out. Filters as in the authors' LMgist.
+After the description that its authors give of it: even out brightness and contrast, filter with
+Gabor functions in the Fourier domain, average the magnitudes over blocks.
 """
 
 from __future__ import annotations
@@ -12,24 +12,34 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.fft import fft2, ifft2
+from scipy import fft
 from scipy.ndimage import distance_transform_edt
 
 from slam_bof.types import DepthFrame, Params
+from slam_bof_plugins.descriptor_depth import ThumbnailDescriptor, ThumbnailParams
 
 __all__ = ["DepthGistDescriptor", "GistDescriptor", "GistParams"]
 
-PAD_PX = 16
-"""Mirrored around the image, which the Fourier transform takes to be periodic."""
+Image = NDArray[np.float32]
+
+HIGHEST_FREQUENCY = 0.3
+"""Of the finest scale, in cycles a pixel."""
+SCALE_STEP = 1.85
 
 
 class GistParams(Params):
-    """As in the authors' code, for images half as large."""
+    """The authors' prefilter and filter bank, at 128 pixels."""
 
-    side_px: int = Field(128, gt=0, description="the image is made so large, and square")
-    n_orientations: tuple[int, ...] = Field((8, 8, 8, 8), description="of each scale, finest first")
-    n_blocks: int = Field(4, gt=0, description="cells of the grid, each way")
-    contrast_cycles: float = Field(4.0, gt=0, description="an image; lower frequencies go")
+    n_blocks: int = Field(4, gt=0, description="along either side of the image")
+    block_px: int = Field(32, gt=0, description="side of a block; the image is squeezed to fit")
+    n_scales: int = Field(4, gt=0)
+    n_orientations: int = Field(8, gt=0)
+    smooth_cycles: float = Field(
+        4.0, gt=0, description="an image: slower changes of brightness and contrast are evened out"
+    )
+    min_contrast: float = Field(
+        0.2, gt=0, description="evened out above it; of log brightness, or of metres"
+    )
 
 
 class GistDescriptor:
@@ -41,65 +51,94 @@ class GistDescriptor:
     comparison: ClassVar[str] = "l1"
 
     def __init__(self, params: GistParams) -> None:
-        self._params = params
-        side = params.side_px + 2 * PAD_PX
-        fx, fy = np.meshgrid(*2 * [np.fft.fftfreq(side) * side])
-        self._filters = _gabor_filters(fx, fy, params.n_orientations, side)
-        width = params.contrast_cycles / np.sqrt(np.log(2.0))
-        self._blur = np.exp(-(fx**2 + fy**2) / width**2)
+        self._gist = _Gist(params)
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-        """Return the energies, (1, filters * blocks)."""
+        """Return the GIST, (1, scales * orientations * blocks ** 2)."""
         if gray is None:
             raise ValueError("a grey image is needed, got none")
-        return self._gist(gray.astype(np.float64))
-
-    def _gist(self, image: NDArray[np.float64]) -> NDArray[np.float32]:
-        p = self._params
-        small = cv2.resize(image, (p.side_px, p.side_px), interpolation=cv2.INTER_AREA)
-        padded = np.pad(np.asarray(small, np.float64), PAD_PX, mode="symmetric")
-        spectrum = fft2(self._even_out(padded))
-        energy = np.abs(ifft2(spectrum * self._filters))[:, PAD_PX:-PAD_PX, PAD_PX:-PAD_PX]
-        block = p.side_px // p.n_blocks
-        cells = energy[:, : block * p.n_blocks, : block * p.n_blocks]
-        cells = cells.reshape(len(energy), p.n_blocks, block, p.n_blocks, block)
-        return np.asarray(cells.mean(axis=(2, 4)), np.float32).reshape(1, -1)
-
-    def _even_out(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Remove what is brighter over large areas, and divide by the local contrast."""
-        logarithm = np.log1p(image)
-        detail = logarithm - ifft2(fft2(logarithm) * self._blur).real
-        contrast = np.sqrt(np.abs(ifft2(fft2(detail**2) * self._blur)))
-        return np.asarray(detail / (0.2 + contrast))
+        size = (self._gist.size_px, self._gist.size_px)
+        small = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+        return self._gist.describe(np.log1p(small.astype(np.float32)))
 
 
-class DepthGistDescriptor(GistDescriptor):
-    """GIST of the depth image, its holes filled with what is nearest to them."""
+class DepthGistDescriptor:
+    """GIST of the depth image in metres, where holes are as deep as the nearest known pixel."""
 
+    Params = GistParams
     needs_gray: ClassVar[bool] = False
+    is_binary: ClassVar[bool] = False
+    comparison: ClassVar[str] = "l1"
+
+    def __init__(self, params: GistParams) -> None:
+        self._gist = _Gist(params)
+        size_px = self._gist.size_px
+        self._thumbnail = ThumbnailDescriptor(ThumbnailParams(width_px=size_px, height_px=size_px))
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.float32]:
-        """Return the energies, (1, filters * blocks)."""
-        depth_m = frame.depth_m(4 if frame.intrinsics.width >= 4 * self._params.side_px else 1)
-        if not depth_m.any():
-            return self._gist(np.zeros_like(depth_m, dtype=np.float64))
-        nearest = distance_transform_edt(depth_m == 0, return_distances=False, return_indices=True)
-        # Greys up to 255 for 8 metres, as the contrast floor is meant for greys.
-        return self._gist(depth_m[tuple(nearest)].astype(np.float64) * (255.0 / 8.0))
+        """Return the GIST, (1, scales * orientations * blocks ** 2)."""
+        size_px = self._gist.size_px
+        depth_m = self._thumbnail.describe(frame, gray).reshape(size_px, size_px)
+        return self._gist.describe(_fill_holes(depth_m))
 
 
-def _gabor_filters(
-    fx: NDArray[np.float64], fy: NDArray[np.float64], n_orientations: tuple[int, ...], side: int
-) -> NDArray[np.float64]:
-    """Return the transfer functions (F, side, side), all positive frequencies of one direction."""
-    radius, angle = np.hypot(fx, fy) / side, np.arctan2(fy, fx)
+class _Gist:
+    """The filters, made once."""
+
+    def __init__(self, params: GistParams) -> None:
+        self._params = params
+        self.size_px = params.n_blocks * params.block_px
+        self._margin_px = self.size_px // 8
+        cycles = fft.fftfreq(self.size_px + 2 * self._margin_px)  # a pixel
+        x, y = np.meshgrid(cycles, cycles)
+        self._smooth = _smooth(x, y, params.smooth_cycles / len(cycles))
+        self._bank = _bank(x, y, params)
+
+    def describe(self, image: Image) -> NDArray[np.float32]:
+        """Return the mean magnitudes (1, D) of an image (size_px, size_px)."""
+        n_blocks, block_px = self._params.n_blocks, self._params.block_px
+        margin_px = self._margin_px
+        padded = self._even_out(np.pad(image, margin_px, mode="symmetric"))
+        magnitudes = np.abs(fft.ifft2(fft.fft2(padded) * self._bank))
+        inside = slice(margin_px, margin_px + self.size_px)
+        blocks = magnitudes[:, inside, inside].reshape(-1, n_blocks, block_px, n_blocks, block_px)
+        return np.asarray(blocks.mean(axis=(2, 4)).reshape(1, -1), np.float32)
+
+    def _even_out(self, image: Image) -> Image:
+        details = image - self._blur(image)
+        contrast = np.sqrt(np.abs(self._blur(details**2)))
+        return np.asarray(details / (self._params.min_contrast + contrast))
+
+    def _blur(self, image: Image) -> Image:
+        return np.asarray(fft.ifft2(fft.fft2(image) * self._smooth).real)
+
+
+def _smooth(x: NDArray[np.float64], y: NDArray[np.float64], half: float) -> Image:
+    """Return a Gaussian low pass over frequencies that passes half of ``half``."""
+    return np.asarray(np.exp2(-(x**2 + y**2) / half**2), np.float32)
+
+
+def _bank(x: NDArray[np.float64], y: NDArray[np.float64], params: GistParams) -> Image:
+    """Return the filters over frequencies (N, N), (scales * orientations, N, N).
+
+    Gaussians around their frequency and direction, so that one passes only half of the plane and
+    what comes out is complex: its magnitude is the structure's, wherever its edges lie.
+    """
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
     filters = []
-    for scale, n in enumerate(n_orientations):
-        centre = 0.3 / 1.85**scale
-        for k in range(n):
-            turned = np.angle(np.exp(1j * (angle + np.pi / n * k)))
-            across = 16.0 * n**2 / 32.0**2
-            filters.append(
-                np.exp(-3.5 * (radius / centre - 1.0) ** 2 - 2.0 * np.pi * across * turned**2)
-            )
-    return np.array(filters)
+    for scale in range(params.n_scales):
+        center = HIGHEST_FREQUENCY / SCALE_STEP**scale
+        along = np.exp(-3.5 * (radius / center - 1) ** 2)
+        for direction in np.pi * np.arange(params.n_orientations) / params.n_orientations:
+            off = (angle - direction + np.pi) % (2 * np.pi) - np.pi
+            across = np.exp(-2 * np.pi * (off * params.n_orientations / 8) ** 2)
+            filters.append(along * across)
+    return np.asarray(filters, np.float32)
+
+
+def _fill_holes(depth_m: Image) -> Image:
+    missing = depth_m == 0
+    if missing.all():
+        return depth_m
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(depth_m[tuple(nearest)])

@@ -83,26 +83,51 @@ def test_ferns_ask_the_same_questions_for_a_seed():
     assert (first != other).any()
 
 
-def grating(angle_rad, cycles):
-    y, x = np.mgrid[:240, :320]
-    along = np.cos(angle_rad) * x / 320 + np.sin(angle_rad) * y / 240
-    return (127 + 100 * np.sin(2 * np.pi * cycles * along)).astype(np.uint8)
+def stripes(angle, cycles):
+    """A grey image of bars whose brightness changes along ``angle``, so many times."""
+    y, x = np.mgrid[:256, :256] / 256
+    wave = np.cos(2 * np.pi * cycles * (x * np.cos(angle) + y * np.sin(angle)))
+    return (127 + 100 * wave).astype(np.uint8)
 
 
-def test_gist_has_the_most_energy_at_the_grating_s_scale_and_orientation():
-    gist = registry.build("descriptors", "gist")
-
-    def strongest(image):
-        energy = gist.describe(FRAME, image).reshape(4, 8, 16).mean(axis=2)
-        return np.unravel_index(energy.argmax(), energy.shape)
-
-    scale, orientation = strongest(grating(0.0, 20))
-    assert strongest(grating(np.pi / 2, 20)) == (scale, (orientation + 4) % 8)
-    assert strongest(grating(0.0, 6)) > (scale, 7)  # a coarser filter
+@pytest.mark.parametrize("scale", range(4))
+@pytest.mark.parametrize("orientation", range(8))
+def test_gist_tells_scale_and_direction(scale, orientation):
+    gray = stripes(np.pi * orientation / 8, 128 * 0.3 / 1.85**scale)
+    gist = registry.build("descriptors", "gist").describe(FRAME, gray).reshape(4, 8, 16)
+    strongest = gist.mean(axis=2).argmax()
+    assert np.unravel_index(strongest, (4, 8)) == (scale, orientation)
 
 
-def test_gist_looks_at_structure_and_not_at_brightness():
-    gist = registry.build("descriptors", "gist")
-    image, other = 20 + speckle(2) // 4, 20 + speckle(3) // 4
-    one, brighter, another = (gist.describe(FRAME, i) for i in (image, 3 * image, other))
-    assert np.abs(one - brighter).mean() < 0.5 * np.abs(one - another).mean()
+def test_gist_tells_where():
+    gray = np.full((256, 256), 127, np.uint8)
+    gray[64:128, 128:192] = stripes(0.0, 38)[64:128, 128:192]
+    gist = registry.build("descriptors", "gist").describe(FRAME, gray).reshape(32, 4, 4)
+    assert np.unravel_index(gist[0].argmax(), (4, 4)) == (1, 2)
+
+
+def test_gist_of_a_darker_and_duller_image_is_much_the_same():
+    gist = registry.build("descriptors", "gist", {"min_contrast": 0.01})
+    bright, dull, other = (
+        gist.describe(FRAME, gray)[0]
+        for gray in (speckle(0) // 2 + 100, speckle(0) // 8 + 60, speckle(1) // 2 + 100)
+    )
+    assert np.abs(bright - dull).mean() < 0.5 * np.abs(bright - other).mean()
+
+
+def test_gist_of_depth_sees_through_holes():
+    gist = registry.build("descriptors", "gist-depth")
+    holed = FRAME.depth.copy()
+    holed[100:112, 150:162] = 0
+    whole, patched, flat = (
+        gist.describe(DepthFrame(0.0, depth, CAMERA), None)[0]
+        for depth in (FRAME.depth, holed, np.full_like(FRAME.depth, 2500))
+    )
+    np.testing.assert_allclose(flat, 0.0, atol=1e-3)
+    assert np.abs(whole - patched).mean() < 0.05 * np.abs(whole - flat).mean()
+
+
+def test_size_of_the_gist_is_that_of_its_parameters():
+    options = {"n_blocks": 3, "block_px": 20, "n_scales": 2, "n_orientations": 6}
+    few = registry.build("descriptors", "gist", options)
+    assert few.describe(FRAME, speckle(0)).shape == (1, 3 * 3 * 2 * 6)
