@@ -55,6 +55,8 @@ class Agreement(NamedTuple):
     """Share of a view's points that the other sees too; the smaller of both ways."""
     blocking: Floats
     """Share of its points that would block what the other sees; both ways added."""
+    compared: Floats
+    """Share of its points that fall where the other has a depth at all; the smaller."""
 
 
 class SurfacePairs(NamedTuple):
@@ -118,6 +120,16 @@ class ViewAligner:
         self._sampled.append(self._sample(np.flatnonzero(view.depth_m)))
         self._surface.append(self._sample(np.flatnonzero(normals.any(axis=1))))
 
+    def __len__(self) -> int:
+        """Return the number of views held."""
+        return 0 if self._camera is None else len(self._depths_m)
+
+    def truncate(self, n: int) -> None:
+        """Hold only the first ``n`` views."""
+        if self._camera is not None:
+            for stack in (self._depths_m, self._normals, self._sampled, self._surface):
+                stack.truncate(n)
+
     @property
     def nbytes(self) -> int:
         """Bytes of all views held."""
@@ -165,18 +177,24 @@ class ViewAligner:
         """Return the shares of the query's points that the match sees, and that block it."""
         points = self._points(query, self._sampled.rows[query])
         T = T_match_query[None].astype(np.float32)
-        seen, blocking = self._shares(points, np.array([match]), T)
+        seen, blocking, _ = self._shares(points, np.array([match]), T)
         return float(seen[0]), float(blocking[0])
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
         T = T_match_query.astype(np.float32)
         points = self._points(query, self._sampled.rows[query])
-        seen, blocking = self._shares(points, matches, T)
+        seen, blocking, compared = self._shares(points, matches, T)
         own = self._points(matches[:, None], self._sampled.rows[matches])
         back = se3.inverse(T_match_query).astype(np.float32)
-        seen_back, blocking_back = self._shares(own, np.full(len(matches), query), back)
-        return Agreement(np.minimum(seen, seen_back), blocking + blocking_back)
+        seen_back, blocking_back, compared_back = self._shares(
+            own, np.full(len(matches), query), back
+        )
+        return Agreement(
+            np.minimum(seen, seen_back),
+            blocking + blocking_back,
+            np.minimum(compared, compared_back),
+        )
 
     # ``take`` from flat arrays is three times as fast as indexing by views and pixels.
 
@@ -241,8 +259,8 @@ class ViewAligner:
         )
         return _Association(moved, normals, residuals_m, matched)
 
-    def _shares(self, points: Floats, frames: Indices, T: Floats) -> tuple[Floats, Floats]:
-        """Return the shares of points that the frames see, and that block what they see."""
+    def _shares(self, points: Floats, frames: Indices, T: Floats) -> tuple[Floats, Floats, Floats]:
+        """Return the shares of points that the frames see, that block, and that can be told."""
         moved = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
         pixels, inside = self._project(*np.moveaxis(moved, -1, 0))
         there = self._depth(frames[:, None], pixels)
@@ -250,9 +268,8 @@ class ViewAligner:
         off = moved[..., 2] - there
         fixed, share = self.params.tolerance
         allowed = fixed + share * moved[..., 2]
-        return (inside & (np.abs(off) < allowed)).mean(axis=1), (inside & (off < -allowed)).mean(
-            axis=1
-        )
+        seen, blocking = inside & (np.abs(off) < allowed), inside & (off < -allowed)
+        return seen.mean(axis=1), blocking.mean(axis=1), inside.mean(axis=1)
 
     def _project(self, x: Floats, y: Floats, z: Floats) -> tuple[Indices, NDArray[np.bool_]]:
         """Return the pixels that points fall on, and whether they are in the image at all."""

@@ -15,6 +15,7 @@ from slam_bof.errors import ConfigError
 from slam_bof.keyframes import KeyframeParams
 from slam_bof.loops import LoopParams
 from slam_bof.points import PointParams
+from slam_bof.tracking import TrackingParams
 from slam_bof.types import Params
 from slam_bof.validation import describe_error, suggest
 from slam_bof.verification import VerificationParams
@@ -53,6 +54,7 @@ class Config(Params):
     odometry: PluginChoice = PluginChoice(name="kiss-icp")
     verifier: PluginChoice = PluginChoice(name="projective")
     backend: PluginChoice = PluginChoice(name="gtsam")
+    tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()

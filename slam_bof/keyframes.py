@@ -22,6 +22,7 @@ class KeyframeParams(Params):
     max_gap: int = Field(
         10, gt=0, description="motion: at most so many frames from one to the next"
     )
+    min_seen: float = Field(0.4, le=1, description="motion: or that sees less of the same")
     every: int = Field(10, gt=0, description="every: each k-th frame")
 
 
@@ -33,14 +34,22 @@ class KeyframeSelector:
         self._frame_index = -1
         self._T_odom_camera: Pose | None = None
 
-    def select(self, frame_index: int, T_odom_camera: Pose) -> bool:
-        """Decide for one frame, and remember it if the answer is yes."""
-        chosen = self._T_odom_camera is None or self._is_due(frame_index, T_odom_camera)
+    def select(self, frame_index: int, T_odom_camera: Pose, *, seen: float = float("nan")) -> bool:
+        """Decide for one frame, and remember it if the answer is yes.
+
+        ``seen`` is the share of its points that the last one chosen sees too, NaN if that is not
+        known.
+        """
+        chosen = self._T_odom_camera is None or self._is_due(frame_index, T_odom_camera, seen)
         if chosen:
             self._frame_index, self._T_odom_camera = frame_index, T_odom_camera
         return chosen
 
-    def _is_due(self, frame_index: int, T_odom_camera: Pose) -> bool:
+    def reset(self) -> None:
+        """Forget everything: the next frame is a first one."""
+        self._T_odom_camera = None
+
+    def _is_due(self, frame_index: int, T_odom_camera: Pose, seen: float) -> bool:
         p = self.params
         gap = frame_index - self._frame_index
         if p.policy == "every":
@@ -49,6 +58,7 @@ class KeyframeSelector:
         motion = se3.inverse(self._T_odom_camera) @ T_odom_camera
         return (
             gap >= p.max_gap
+            or seen < p.min_seen
             or float(np.linalg.norm(motion[:3, 3])) >= p.distance_m
             or float(se3.rotation_angle(motion)) >= p.angle_rad
         )

@@ -91,6 +91,9 @@ class LoopDetector:
         """Return the keyframe's candidates, and remember the keyframe."""
         stamps_s = [k.stamp_s for k in self._keyframes]
         n_old = np.searchsorted(stamps_s, keyframe.stamp_s - self.params.min_age_s, side="right")
+        # What was seen before odometry was lost is a place to be found again, however young.
+        segments = [k.segment for k in self._keyframes]
+        n_old = max(n_old, np.searchsorted(segments, keyframe.segment))
         found = self._ranking.rank(keyframe, frame, self._keyframes[: int(n_old)])
         checked = [self._check(keyframe, candidate) for candidate in found.candidates]
         self._maxima.append(tuple(c.match_id for c in checked))

@@ -20,7 +20,7 @@ __all__ = ["Metrics", "Usage", "compute_metrics"]
 
 Metrics = dict[str, str | int | float | None]
 
-STAGES = ("read", "odometry", "describe", "query", "verify", "optimize", "total")
+STAGES = ("read", "odometry", "track", "describe", "query", "verify", "optimize", "total")
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +69,8 @@ def compute_metrics(
         "n_frames": n_frames,
         "n_frames_skipped": result.n_skipped,
         "n_keyframes": len(closer.keyframes),
+        "n_odometry_lost": closer.n_odometry_lost,
+        "n_parts": closer.n_parts,
         "n_candidates": len(considered),
         "n_verified": len(verified),
         "n_loops": len(loops),

@@ -117,7 +117,16 @@ class Backend(Protocol):
     """A pose graph over keyframes."""
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
-        """Add a node, and its odometry factor to the node before it."""
+        """Add a node, and its odometry factor to the node before it.
+
+        Where a segment begins that factor is nearly free: odometry was lost in between.
+        """
+
+    def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
+        """Carry nodes by ``T`` (4, 4) in the map, as one rigid piece; before a loop joins them.
+
+        They are whole segments, tied to the others by nothing but nearly free factors.
+        """
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge, with a robust kernel."""

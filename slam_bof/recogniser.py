@@ -159,7 +159,7 @@ class PlaceRecogniser:
         if len(ids) == 0:
             return []
         T = self._aligner.align(view_id, ids, starts)
-        seen, blocking = self._aligner.agreement(view_id, ids, T)
+        seen, blocking, _ = self._aligner.agreement(view_id, ids, T)
         scores = self._score(T, seen - blocking)
         matches = [
             PlaceMatch(int(ids[k]), float(scores[k]), T[k], float(seen[k]), float(blocking[k]))

@@ -41,7 +41,7 @@ def _insert(table: str, columns: Sequence[str]) -> str:
 INSERT_KEYFRAME = _insert(
     "keyframes",
     [
-        *("id", "frame_index", "stamp_s"),
+        *("id", "frame_index", "stamp_s", "segment"),
         *(f"odom_{name}" for name in POSE),
         *("scene", "scene_probability", "probabilities", "words", "weights", "cloud"),
     ],
@@ -59,6 +59,7 @@ def keyframe_row(keyframe: Keyframe, cloud: Array | None) -> Row:
         int(keyframe.id),
         int(keyframe.frame_index),
         float(keyframe.stamp_s),
+        int(keyframe.segment),
         *pose_row(keyframe.T_odom_camera),
         *label,
         _blob(keyframe.bag.words, "<i4"),
@@ -76,6 +77,7 @@ def keyframe_of(row: Any, classes: tuple[str, ...]) -> Keyframe:
         pose_of(row, "odom_"),
         Bag(_array(row["words"], "<i4"), _array(row["weights"], "<f4")),
         scene_of(row, classes),
+        row["segment"],
     )
 
 

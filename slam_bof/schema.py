@@ -6,8 +6,9 @@ One SQLite file, readable with the sqlite3 shell. Poses are columns ``tx ty tz``
 =============== ===================================================================
 table           columns
 =============== ===================================================================
-``keyframes``   ``id``; ``frame_index``; ``stamp_s``; ``odom_tx ... odom_qw``
-                (T_odom_camera); ``map_tx ... map_qw`` (T_map_camera, null until the
+``keyframes``   ``id``; ``frame_index``; ``stamp_s``; ``segment``, which counts how
+                often odometry was lost; ``odom_tx ... odom_qw`` (T_odom_camera, as
+                tracking has mended it); ``map_tx ... map_qw`` (T_map_camera, null until the
                 run is finished); ``scene`` and ``scene_probability``, null without
                 a scene classifier; ``probabilities`` float64, in the order of the
                 parameter ``classes``; ``words`` int32 and ``weights`` float32, the
@@ -38,7 +39,7 @@ from slam_bof.errors import MapError
 
 __all__ = ["APPLICATION_ID", "POSE", "SCHEMA", "SCHEMA_VERSION", "connect", "naming_errors"]
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 APPLICATION_ID = 0x424F464D
 """Tells a map from other programs' databases ("BOFM")."""
 
@@ -53,6 +54,7 @@ CREATE TABLE keyframes (
     id INTEGER PRIMARY KEY,
     frame_index INTEGER NOT NULL UNIQUE,
     stamp_s REAL NOT NULL,
+    segment INTEGER NOT NULL,
     {", ".join(f"odom_{name} REAL NOT NULL" for name in POSE)},
     {", ".join(f"map_{name} REAL" for name in POSE)},
     scene TEXT,

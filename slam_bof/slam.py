@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -18,9 +18,11 @@ from slam_bof.errors import DatasetError
 from slam_bof.keyframes import KeyframeSelector
 from slam_bof.loops import LoopDetector
 from slam_bof.model import Model
+from slam_bof.parts import MapParts
 from slam_bof.points import PointParams, points_camera
 from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry
 from slam_bof.timing import StageClock
+from slam_bof.tracking import Track, Tracker
 from slam_bof.trajectory import spread_correction
 from slam_bof.types import (
     Array,
@@ -53,6 +55,7 @@ class LoopCloser:
         self,
         *,
         model: Model,
+        tracker: Tracker,
         selector: KeyframeSelector,
         detector: LoopDetector,
         covisibility: CovisibilityParams,
@@ -68,6 +71,7 @@ class LoopCloser:
         self.backend = backend
         self._describer = model.describer()
         self._scenes = model.scenes
+        self._tracker = tracker
         self._selector = selector
         self._detector = detector
         self._covisibility = covisibility
@@ -76,9 +80,10 @@ class LoopCloser:
         self._verification = verification
         self._clock = clock or StageClock()
         self._added: list[Loop] = []
+        self._parts = MapParts()
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
-        self._T_map_odom: Pose = np.eye(4)
+        self._T_map_track: Pose = np.eye(4)
 
     @classmethod
     def from_preset(cls, name: str = "indoor") -> Self:
@@ -93,6 +98,7 @@ class LoopCloser:
         model = models.load_default() if config.model == "default" else models.load(config.model)
         return cls(
             model=model,
+            tracker=Tracker(config.tracking, seed=config.seed),
             selector=KeyframeSelector(config.keyframes),
             detector=LoopDetector(
                 config.loops,
@@ -119,11 +125,18 @@ class LoopCloser:
             raise ValueError(
                 f"stamps must grow, got {frame.stamp_s} s after {self._stamps_s[-1]} s"
             )
+        with self._clock.stage("track"):
+            track = self._tracker.track(frame, T_odom_camera)
         self._stamps_s.append(frame.stamp_s)
-        self._T_odom_camera.append(np.array(T_odom_camera, dtype=np.float64))
-        if self._selector.select(frame_index, T_odom_camera):
-            return self._add_keyframe(frame_index, frame, T_odom_camera)
-        return Step(None, self.keyframes[-1].scene, (), (), self._T_map_odom)
+        self._T_odom_camera.append(track.T_odom_camera)
+        if self._is_keyframe(frame_index, track):
+            self._tracker.keep()
+            step = self._add_keyframe(frame_index, frame, track)
+        else:
+            scene = self.keyframes[-1].scene if self.keyframes else None
+            step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
+        T_map_camera = self._T_map_track @ track.T_odom_camera
+        return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
 
     def finish(self) -> Trajectory:
         """Optimise the whole graph; return ``T_map_camera`` of every frame processed.
@@ -142,18 +155,44 @@ class LoopCloser:
         poses = spread_correction(T_odom_camera, stamps_s, frame_indices, self.backend.poses())
         return Trajectory(stamps_s, poses)
 
-    def _add_keyframe(self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose) -> Step:
+    def _is_keyframe(self, frame_index: int, track: Track) -> bool:
+        """Tell whether the frame becomes a keyframe; the first of a segment always does."""
+        if track.is_lost:
+            return False
+        if self.keyframes and self.keyframes[-1].segment != track.segment:
+            self._selector.reset()
+        return self._selector.select(frame_index, track.T_odom_camera, seen=track.seen)
+
+    @property
+    def n_parts(self) -> int:
+        """Of how many parts, which no loop has joined, the map is."""
+        return len(self._parts)
+
+    @property
+    def n_odometry_lost(self) -> int:
+        """How often the odometry was lost so far."""
+        return self._tracker.n_lost
+
+    def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
+        T_odom_camera = track.T_odom_camera
         with self._clock.stage("describe"):
             gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
             scene = self._scenes.predict_bag(bag) if self._scenes else None
         keyframe = Keyframe(
-            len(self.keyframes), frame_index, frame.stamp_s, T_odom_camera, bag, scene
+            len(self.keyframes),
+            frame_index,
+            frame.stamp_s,
+            T_odom_camera,
+            bag,
+            scene,
+            track.segment,
         )
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
             found = self._detector.find(keyframe, frame)
         self.backend.add_keyframe(keyframe)
+        self._parts.add(keyframe.segment)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud)
             candidates = found.candidates + self._find_covisible(
@@ -161,17 +200,34 @@ class LoopCloser:
             )
             self._verification.add(frame, points)
             candidates, loops = self._verification.verify(
-                candidates, self.backend.poses(), guesses=found.guesses
+                candidates,
+                self.backend.poses(),
+                parts=self._parts.of_keyframes(),
+                guesses=found.guesses,
             )
         self.loops.extend(loops)
+        self._added.extend(loops)
         with self._clock.stage("optimize"):
             for loop in loops:
+                self._join(loop)
                 self.backend.add_loop(loop)
-                self._added.append(loop)
             self.backend.update()
             T_map_camera = self.backend.poses()[-1]
-        self._T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)
-        return Step(keyframe, scene, tuple(loops), tuple(candidates), self._T_map_odom)
+        self._T_map_track = T_map_camera @ se3.inverse(T_odom_camera)
+        return Step(keyframe, scene, tuple(loops), tuple(candidates), np.eye(4))
+
+    def _join(self, loop: Loop) -> None:
+        """Where the loop is between two parts of the map, carry the younger to the older."""
+        parts = self._parts.of_keyframes()
+        match, query = parts[loop.match_id], parts[loop.query_id]
+        if match == query:
+            return
+        T_map_camera = self.backend.poses()
+        T_map_query = T_map_camera[loop.match_id] @ loop.T_match_query
+        T = T_map_query @ se3.inverse(T_map_camera[loop.query_id])
+        younger, T = (query, T) if query > match else (match, se3.inverse(T))
+        self.backend.move(np.flatnonzero(parts == younger), T)
+        self._parts.join(loop.match_id, loop.query_id)
 
     def _find_covisible(
         self, keyframe: Keyframe, points: Array, frame: DepthFrame, found: set[int]
@@ -183,6 +239,8 @@ class LoopCloser:
         overlaps = view_overlap(
             points[::every], T_map_camera, T_map_cameras[:-1], frame.intrinsics, p.max_range_m
         )
+        parts = self._parts.of_keyframes()
+        overlaps[parts[:-1] != parts[-1]] = 0.0
         min_age_s = self._detector.params.min_age_s
         return [
             Candidate(

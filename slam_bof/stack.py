@@ -49,3 +49,7 @@ class Stack:
             self._block = np.concatenate([self._block, room])
         self._block[self._n] = row
         self._n += 1
+
+    def truncate(self, n: int) -> None:
+        """Drop all rows but the first ``n``."""
+        self._n = min(n, self._n)

@@ -112,8 +112,7 @@ def spread_correction(
     T_odom_camera, stamps_s
         (N, 4, 4) odometry poses and (N,) times of all frames.
     keyframe_indices, T_map_keyframes
-        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0; the
-        first frame is a keyframe.
+        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0.
 
     Returns
     -------
@@ -121,12 +120,12 @@ def spread_correction(
         (N, 4, 4) T_map_camera.
     """
     frames = np.arange(len(T_odom_camera))
-    before = np.searchsorted(keyframe_indices, frames, side="right") - 1
+    before = np.maximum(np.searchsorted(keyframe_indices, frames, side="right") - 1, 0)
     after = np.minimum(before + 1, len(keyframe_indices) - 1)
     T_map_odom = T_map_keyframes @ se3.inverse(T_odom_camera[keyframe_indices])
     start_s, end_s = stamps_s[keyframe_indices][before], stamps_s[keyframe_indices][after]
     span_s = np.where(after > before, end_s - start_s, 1.0)
-    fraction = np.where(after > before, (stamps_s - start_s) / span_s, 0.0)
+    fraction = np.where(after > before, np.maximum(stamps_s - start_s, 0.0) / span_s, 0.0)
     return se3.interpolate(
         T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
     )

@@ -139,7 +139,10 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
-    """A frame that the map keeps: ids count keyframes, ``frame_index`` counts frames."""
+    """A frame that the map keeps: ids count keyframes, ``frame_index`` counts frames.
+
+    ``T_odom_camera`` and ``segment`` are as ``tracking.Track`` has them.
+    """
 
     id: int
     frame_index: int
@@ -147,6 +150,7 @@ class Keyframe:
     T_odom_camera: Pose
     bag: Bag
     scene: Scene | None
+    segment: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -215,7 +219,8 @@ class Step:
     ``keyframe`` is None where the frame was not made one; ``scene`` is the latest label;
     ``loops`` are the edges accepted just now, ``candidates`` all that were considered for
     them; ``T_map_odom`` corrects the odometry frame, as REP-105 has it:
-    ``T_map_camera = T_map_odom @ T_odom_camera``.
+    ``T_map_camera = T_map_odom @ T_odom_camera``. Where ``is_lost``, the odometry cannot be
+    right, and nothing better is known.
     """
 
     keyframe: Keyframe | None
@@ -223,6 +228,7 @@ class Step:
     loops: tuple[Loop, ...]
     candidates: tuple[Candidate, ...]
     T_map_odom: Pose
+    is_lost: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof import se3
@@ -55,12 +56,15 @@ class LoopVerification:
         candidates: Sequence[Candidate],
         T_map_camera: Array,
         *,
+        parts: NDArray[np.integer[Any]] | None = None,
         guesses: Mapping[int, Pose] = MappingProxyType({}),
     ) -> tuple[list[Candidate], list[Loop]]:
         """Judge the candidates of the newest keyframe that are still open.
 
-        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far; ``guesses`` are
-        ``T_match_query`` that recognition has already, by ``match_id``.
+        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far, and ``parts`` (K,)
+        which part of it they are in, as ``parts.MapParts`` has it (without: all in one); those of
+        different parts say nothing of each other. ``guesses`` are ``T_match_query`` that
+        recognition has already, by ``match_id``.
 
         Returns
         -------
@@ -70,6 +74,8 @@ class LoopVerification:
         list of Loop
             The edges to add now, among them loops of earlier keyframes held back so far.
         """
+        if parts is None:
+            parts = np.zeros(len(T_map_camera), dtype=np.int64)
         judged: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
@@ -81,7 +87,7 @@ class LoopVerification:
             if candidate.source == "proximity" and verified.overlap < self.params.min_overlap:
                 # Too little to claim a loop, but two views of the same surfaces all the same.
                 candidate = replace(candidate, kind="covisibility")
-            reason = verified.reason or self._object(candidate, verified, T_map_camera)
+            reason = verified.reason or self._object(candidate, verified, T_map_camera, parts)
             decision = "rejected" if reason else "accepted"
             if not reason:
                 loop = Loop(
@@ -102,7 +108,7 @@ class LoopVerification:
                     reason=reason,
                 )
             )
-        admitted = self._gate.admit(loops, T_map_camera)
+        admitted = self._gate.admit(loops, T_map_camera, parts)
         return _hold(judged, admitted), edges + admitted
 
     def _align(
@@ -121,7 +127,13 @@ class LoopVerification:
             return verified
         return self._verifier.verify(*pair, seed=self._seed)
 
-    def _object(self, candidate: Candidate, verified: Verification, T_map_camera: Array) -> str:
+    def _object(
+        self,
+        candidate: Candidate,
+        verified: Verification,
+        T_map_camera: Array,
+        parts: NDArray[np.integer[Any]],
+    ) -> str:
         """Return why a well-aligned pair is no loop all the same, or nothing."""
         p = self.params
         if candidate.kind != "loop":
@@ -133,6 +145,8 @@ class LoopVerification:
             distance_m > p.max_view_distance_m or angle_rad > p.max_view_angle_rad
         ):
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
+        if parts[candidate.match_id] != parts[candidate.query_id]:
+            return ""
         between = T_map_camera[candidate.match_id : candidate.query_id + 1]
         path_m = float(np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1).sum())
         moved_m, turned_rad = _size(
@@ -158,7 +172,7 @@ def _hold(judged: list[Candidate], admitted: list[Loop]) -> list[Candidate]:
     """Mark the loops that were verified but not admitted yet."""
     pairs = {(loop.query_id, loop.match_id) for loop in admitted}
     return [
-        replace(c, decision="held", reason="no loop of another keyframe agrees with it")
+        replace(c, decision="held", reason="too few loops of other keyframes agree with it")
         if c.decision == "accepted" and c.kind == "loop" and (c.query_id, c.match_id) not in pairs
         else c
         for c in judged

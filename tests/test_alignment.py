@@ -48,7 +48,7 @@ def test_a_good_start_among_bad_ones_is_enough(pair):
 def test_the_true_motion_agrees_and_wrong_ones_do_not(pair):
     aligner, T_match_query = pair
     closer = T_match_query @ se3.pose(np.eye(3), [0, 0, -0.5])
-    seen, blocking = aligner.agreement(1, np.zeros(2, int), np.stack([T_match_query, closer]))
+    seen, blocking, _ = aligner.agreement(1, np.zeros(2, int), np.stack([T_match_query, closer]))
     assert seen[0] > 0.6
     assert blocking[0] < 0.1
     assert seen[1] < 0.4

@@ -16,8 +16,8 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native scratch stack se3 timing trajectory ports
     points layers contours bof packing vocabulary index places
-    gravity views spectra panorama slices alignment recogniser
-    scenes keyframes loops covisibility consistency verification model
+    gravity views spectra panorama slices alignment recogniser tracking
+    scenes keyframes loops covisibility parts consistency verification model
     schema rows store queries
     registry config slam mapping
     evaluation recognition metrics synthetic training bench retrieval

@@ -27,7 +27,7 @@ def make_keyframe(id_: int, *, scene: bool = True) -> Keyframe:
     label = Scene(CLASSES[id_ % 2], p, CLASSES, np.roll([p, 1 - p], id_ % 2))
     bag = Bag(words, weights / weights.sum())
     T = se3.exp(rng.normal(size=6))
-    return Keyframe(id_, 4 * id_, 4 * id_ / 30.0, T, bag, label if scene else None)
+    return Keyframe(id_, 4 * id_, 4 * id_ / 30.0, T, bag, label if scene else None, id_ // 3)
 
 
 def make_loop(query_id: int, match_id: int, kind: str = "loop") -> Loop:
@@ -65,6 +65,7 @@ def test_keyframes_come_back_as_they_went_in(filled: MapStore) -> None:
         added = make_keyframe(id_)
         assert (found.id, found.frame_index, found.stamp_s) == (id_, 4 * id_, 4 * id_ / 30.0)
         np.testing.assert_allclose(found.T_odom_camera, added.T_odom_camera, atol=2e-15)
+        assert found.segment == added.segment
         np.testing.assert_array_equal(found.bag.words, added.bag.words)
         np.testing.assert_array_equal(found.bag.weights, added.bag.weights)
         assert (found.bag.words.dtype, found.bag.weights.dtype) == (np.int32, np.float32)
@@ -256,7 +257,7 @@ def test_another_version_is_named(path: Path) -> None:
     db = sqlite3.connect(path)
     db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     db.close()
-    with pytest.raises(MapError, match="found map version 2, expected 1"):
+    with pytest.raises(MapError, match="found map version 3, expected 2"):
         MapStore.open(path)
 
 

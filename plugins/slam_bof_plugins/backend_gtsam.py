@@ -8,6 +8,7 @@ interpreter; one iSAM2 update after a loop has not converged.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -17,6 +18,7 @@ from pydantic import Field
 from slam_bof import se3
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
+    LOST_SIGMA,
     Edge,
     SelectionParams,
     optimized,
@@ -57,11 +59,13 @@ class GtsamBackend:
         self._estimate = gtsam.Values()
         self._T_odom_camera: list[Pose] = []
         self._stamps_s: list[float] = []
+        self._segments: list[int] = []
         self._has_new_loop = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
             np.repeat([p.odometry_sigma_rad, p.odometry_sigma_m], 3)
         )
+        self._lost_noise = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Add a node where the odometry puts it, tied to the node before it."""
@@ -72,7 +76,9 @@ class GtsamBackend:
             factor = gtsam.PriorFactorPose3(key, node, self._prior_noise)
         else:
             motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
-            factor = gtsam.BetweenFactorPose3(key - 1, key, motion, self._odometry_noise)
+            is_lost = keyframe.segment != self._segments[-1]
+            noise = self._lost_noise if is_lost else self._odometry_noise
+            factor = gtsam.BetweenFactorPose3(key - 1, key, motion, noise)
             node = self._estimate.atPose3(key - 1).compose(motion)
         self._odometry.add(factor)
         self._new_factors.add(factor)
@@ -80,6 +86,18 @@ class GtsamBackend:
         self._estimate.insert(key, node)
         self._T_odom_camera.append(keyframe.T_odom_camera)
         self._stamps_s.append(keyframe.stamp_s)
+        self._segments.append(keyframe.segment)
+
+    def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
+        """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there."""
+        motion = pose3(T)
+        for key in keyframe_ids.tolist():
+            self._estimate.update(key, motion.compose(self._estimate.atPose3(key)))
+        self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
+        self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
+        for loop in self._loops:
+            self._new_factors.add(self._robust(*loop))
+        self._new_values = gtsam.Values(self._estimate)
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace."""
@@ -106,8 +124,9 @@ class GtsamBackend:
         self._weights = np.ones(len(self._loops))
         if p.select_loops and self._loops:
             self._weights, self._estimate = weigh_loops(
-                np.array(self._T_odom_camera),
-                self._stamps_s,
+                self._placed(),
+                np.array(self._segments),
+                np.array(self._stamps_s),
                 [edge for edge, _ in self._loops],
                 p.selection,
             )
@@ -130,6 +149,13 @@ class GtsamBackend:
             # Robust models have no place in the format: the plain one is written.
             graph.add(gtsam.BetweenFactorPose3(*edge, noise))
         gtsam.writeG2o(graph, self._estimate, str(path))
+
+    def _placed(self) -> Array:
+        """Return odometry (K, 4, 4) with each segment where the map has its first node."""
+        T_odom_camera, T_map_camera = np.array(self._T_odom_camera), self.poses()
+        _, first, segment = np.unique(self._segments, return_index=True, return_inverse=True)
+        T_map_odom = T_map_camera[first] @ se3.inverse(T_odom_camera[first])
+        return np.asarray(T_map_odom[segment] @ T_odom_camera)
 
     def _kept(self) -> list[tuple[Edge, gtsam.noiseModel.Gaussian]]:
         """Return the loops that were not left out when the graph was last optimised."""

@@ -10,7 +10,7 @@ neighbours mend is not held against the loops.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -20,9 +20,11 @@ from pydantic import Field
 from slam_bof import se3
 from slam_bof.types import Array, Params, Pose
 
-__all__ = ["Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]
+__all__ = ["LOST_SIGMA", "Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]
 
 ROOT_SIGMA = 1e-6
+LOST_SIGMA = 10.0
+"""Of a step over which odometry was lost, in rad and in m."""
 
 
 class SelectionParams(Params):
@@ -44,16 +46,24 @@ class Edge(NamedTuple):
 
 
 def weigh_loops(
-    T_odom_camera: Array, stamps_s: Sequence[float], edges: Sequence[Edge], params: SelectionParams
+    T_odom_camera: Array,
+    segments: NDArray[np.integer[Any]],
+    stamps_s: Array,
+    edges: Sequence[Edge],
+    params: SelectionParams,
 ) -> tuple[NDArray[np.float64], gtsam.Values]:
     """Weigh each edge in [0, 1]: near 0 where it contradicts the others.
 
     Parameters
     ----------
     T_odom_camera
-        (K, 4, 4) odometry of the nodes.
+        (K, 4, 4) odometry of the nodes, segments placed about where they belong.
+    segments
+        (K,) which uninterrupted track the nodes belong to, growing; between two of them odometry
+        says nothing.
     stamps_s
-        (K,) their times; edges over less than ``local_s`` are not judged and weigh 1.
+        (K,) their times; edges over less than ``local_s`` in one segment are not judged and
+        weigh 1.
 
     Returns
     -------
@@ -61,14 +71,16 @@ def weigh_loops(
     values
         The nodes as those that agree have them: where to start optimising from.
     """
-    far = [abs(stamps_s[e.query] - stamps_s[e.match]) >= params.local_s for e in edges]
+    query, match = np.array([(e.query, e.match) for e in edges], dtype=np.intp).reshape(-1, 2).T
+    far = np.abs(stamps_s[query] - stamps_s[match]) >= params.local_s
+    far |= segments[query] != segments[match]
     weights = np.ones(len(edges))
-    settled = _settle(
-        T_odom_camera, [e for e, is_far in zip(edges, far, strict=True) if not is_far], params
-    )
+    near = [e for e, is_far in zip(edges, far, strict=True) if not is_far]
+    settled = _settle(T_odom_camera, segments, near, params)
     if not any(far):
         return weights, _values(settled)
-    graph = _chain(settled, gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma))
+    steady = gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma)
+    graph = _chain(settled, segments, steady)
     n_known = graph.size()
     noise = gtsam.noiseModel.Isotropic.Sigma(6, params.loop_sigma)
     for edge, is_far in zip(edges, far, strict=True):
@@ -102,26 +114,38 @@ def optimized(
     return gtsam.LevenbergMarquardtOptimizer(graph, initial, params).optimize()
 
 
-def _settle(T_odom_camera: Array, edges: Sequence[Edge], params: SelectionParams) -> Array:
+def _settle(
+    T_odom_camera: Array,
+    segments: NDArray[np.integer[Any]],
+    edges: Sequence[Edge],
+    params: SelectionParams,
+) -> Array:
     """Return the nodes (K, 4, 4) by odometry and the edges between neighbours, all robust."""
     noise = gtsam.noiseModel.Robust.Create(
         gtsam.noiseModel.mEstimator.Cauchy.Create(1.0),
         gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma),
     )
-    graph = _chain(T_odom_camera, noise)
+    graph = _chain(T_odom_camera, segments, noise)
     for edge in edges:
         graph.add(gtsam.BetweenFactorPose3(*edge, noise))
     return poses_of(optimized(graph, _values(T_odom_camera)), len(T_odom_camera))
 
 
-def _chain(poses: Array, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactorGraph:
-    """Return a graph that holds the first node fast and each other one to the one before it."""
+def _chain(
+    poses: Array, segments: NDArray[np.integer[Any]], noise: gtsam.noiseModel.Base
+) -> gtsam.NonlinearFactorGraph:
+    """Return a graph that holds the first node fast and each other one to the one before it.
+
+    From segment to segment it hardly holds.
+    """
     graph = gtsam.NonlinearFactorGraph()
     fast = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
     graph.add(gtsam.PriorFactorPose3(0, pose3(poses[0]), fast))
+    loose = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
     steps = se3.inverse(poses[:-1]) @ poses[1:]
     for key, step in enumerate(steps):
-        graph.add(gtsam.BetweenFactorPose3(key, key + 1, pose3(step), noise))
+        is_lost = segments[key] != segments[key + 1]
+        graph.add(gtsam.BetweenFactorPose3(key, key + 1, pose3(step), loose if is_lost else noise))
     return graph
 
 

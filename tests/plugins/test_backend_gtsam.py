@@ -192,3 +192,46 @@ def test_almost_rotations_do_no_harm():
     backend = GtsamBackend()
     add_keyframes(backend, sheared)
     np.testing.assert_allclose(backend.poses(), odometry, atol=1e-3)
+
+
+@pytest.fixture
+def restarted():
+    """Twice round the circle, the second time by an odometry that was started anew."""
+    truth, odometry = circle()
+    truth = np.concatenate([truth, truth[-1] @ truth[1:]])
+    anew = np.concatenate([odometry, odometry[1:]])
+    backend = GtsamBackend()
+    for i, T in enumerate(anew):
+        backend.add_keyframe(Keyframe(i, i, float(i), T, EMPTY, None, int(i > N)))
+        backend.update()
+    return backend, truth
+
+
+def join(backend, truth, query_id, match_id):
+    """What the closer does with the first loop between two parts."""
+    poses = backend.poses()
+    T_map_query = poses[match_id] @ se3.inverse(truth[match_id]) @ truth[query_id]
+    T = T_map_query @ se3.inverse(poses[query_id])
+    backend.move(np.arange(N + 1, len(poses)), T)
+
+
+def test_a_lost_step_gives_way_to_a_loop(restarted):
+    backend, truth = restarted
+    join(backend, truth, N + 3, 3)
+    for i in (3, 4, 5, 9):
+        backend.add_loop(loop(truth, N + i, i))
+    backend.update()
+    assert np.linalg.norm((backend.poses()[N + 3] - backend.poses()[3])[:3, 3]) < 0.01
+    assert (backend.optimize() >= 0.5).all()
+    assert np.linalg.norm((backend.poses()[N + 3] - backend.poses()[3])[:3, 3]) < 0.01
+    assert error_m(backend.poses(), truth) < 0.2
+
+
+def test_a_wrong_loop_does_not_hold_a_part_that_right_ones_joined(restarted):
+    backend, truth = restarted
+    join(backend, truth, N + 3, 3)
+    for i in (3, 4, 5, 9):
+        backend.add_loop(loop(truth, N + i, i))
+    backend.add_loop(loop(truth, N + 7, 7, wrong=se3.pose(np.eye(3), [1.5, 0.0, 0.5])))
+    backend.update()
+    assert (backend.optimize() >= 0.5).tolist() == [True, True, True, True, False]
