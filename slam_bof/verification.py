@@ -160,7 +160,8 @@ def _take(candidate: Candidate, verified: Verification) -> tuple[str, str]:
     information = verified.information
     if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
         return "rejected", f"{candidate.reason}; no relative pose: {verified.reason}"
-    return "accepted", "; ".join(filter(None, (candidate.reason, verified.reason)))
+    objection = f"; geometry objects: {verified.reason}" if verified.reason else ""
+    return "accepted", candidate.reason + objection
 
 
 def _size(T: Pose) -> tuple[float, float]:

@@ -70,7 +70,7 @@ def test_what_is_accepted_already_gets_its_pose_and_no_veto():
     before = candidate(decision="accepted", reason="eta 0.9 above 0.8: not verified")
     judged, (loop,) = verify(CentroidVerifier(overlap=0.3), before, shift_m=1.2)
     assert judged.decision == "accepted"
-    assert judged.reason == "eta 0.9 above 0.8: not verified; too little"
+    assert judged.reason == "eta 0.9 above 0.8: not verified; geometry objects: too little"
     np.testing.assert_allclose(loop.T_match_query[:3, 3], [-1.2, 0.0, 0.0])
 
 
