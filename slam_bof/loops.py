@@ -4,7 +4,8 @@ By *views* (``recogniser``), the product's way, or by *bags* of words, the paper
 for keyframe N and an older keyframe i, the score ``s(i, N)`` of their bags is divided by the
 score against the keyframe about one second before N, which tells what a good score is worth
 here: ``eta(i, N) = s(i, N) / s(N - tau, N)``. Either way the best are checked for contradicting
-scene labels and for time consistency. What is left open goes to geometric verification.
+scene labels and for time consistency. What is left open goes to geometric verification; what
+is above the upper threshold is accepted already, and goes there for its relative pose.
 """
 
 from __future__ import annotations
@@ -21,15 +22,18 @@ from slam_bof.index import InvertedIndex
 from slam_bof.recogniser import PlaceRecogniser, RecogniserParams
 from slam_bof.types import Candidate, DepthFrame, Keyframe, Params, Pose, Scene
 
-__all__ = ["Found", "LoopDetector", "LoopParams", "scene_agreement"]
+__all__ = ["Found", "LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
 
 
 class LoopParams(Params):
     """The parameters of Table 10, and what the product adds to them."""
 
     by: Literal["views", "bags"] = "views"
+    upper_threshold: float | None = Field(
+        None, ge=0, description="bags: eta above it: accepted unverified; null: all are verified"
+    )
     lower_threshold: float = Field(0.4, ge=0, description="bags: eta below it: discarded")
-    normaliser_lag_s: float = Field(1.0, gt=0, description="bags: tau, as a time")
+    normaliser_lag_s: float = Field(1.0, gt=0, description="bags: N, or tau, as a time")
     min_normaliser: float = Field(0.05, ge=0, description="bags: below it not judged")
     min_seen: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
     recogniser: RecogniserParams = RecogniserParams()
@@ -46,12 +50,41 @@ class Found:
     """The candidates of a keyframe, best first, and where recognition has the views already.
 
     Candidates that fail a check have ``decision`` "rejected" and the reason; those still open
-    (``decision`` empty) are for geometric verification. ``guesses`` has ``T_match_query`` by
-    ``match_id``, of those that were aligned.
+    (``decision`` empty) are for geometric verification, and those above the upper threshold
+    ("accepted") for their relative pose. ``guesses`` has ``T_match_query`` by ``match_id``, of
+    those that were aligned.
     """
 
     candidates: list[Candidate] = field(default_factory=list)
     guesses: Mapping[int, Pose] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class LoopCounts:
+    """Keyframes by how far their search for a loop came: the outputs of the paper's Table 10.
+
+    Only keyframes with older ones to search; each is in one of ``candidate``, ``between``,
+    ``discarded`` and ``unjudged``, with several candidates by the one that came furthest.
+
+    Parameters
+    ----------
+    candidate
+        Pass the upper threshold; where there is none, the lower one.
+    approved
+        Of these, pass time consistency, and the check of scene labels.
+    between
+        Neither pass the upper threshold nor stay below the lower one.
+    discarded
+        Stay below the lower threshold (by views: of what both see), or nothing is alike at all.
+    unjudged
+        The normaliser is below its floor.
+    """
+
+    candidate: int = 0
+    approved: int = 0
+    between: int = 0
+    discarded: int = 0
+    unjudged: int = 0
 
 
 class LoopDetector:
@@ -78,6 +111,7 @@ class LoopDetector:
         seed: int = 0,
     ) -> None:
         self.params = params
+        self.counts = LoopCounts()
         self._ranking: _Ranking
         if params.by == "bags":
             self._ranking = _Bags(params, n_words)
@@ -96,6 +130,8 @@ class LoopDetector:
         n_old = max(n_old, np.searchsorted(segments, keyframe.segment))
         found = self._ranking.rank(keyframe, frame, self._keyframes[: int(n_old)])
         checked = [self._check(keyframe, candidate) for candidate in found.candidates]
+        if n_old:
+            self._count(found.candidates, checked)
         self._maxima.append(tuple(c.match_id for c in checked))
         self._keyframes.append(keyframe)
         return replace(found, candidates=checked)
@@ -122,9 +158,36 @@ class LoopDetector:
                 f"time consistency: {candidate.n_consistent} of the last {p.tc} keyframes agree, "
                 f"{p.tc_required} required"
             )
+        elif p.upper_threshold is not None and candidate.eta > p.upper_threshold:
+            reason = f"eta {candidate.eta:.3f} above {p.upper_threshold:g}: not verified"
+            return replace(candidate, decision="accepted", reason=reason)
         else:
             return candidate
         return replace(candidate, decision="rejected", reason=reason)
+
+    def _count(self, ranked: list[Candidate], checked: list[Candidate]) -> None:
+        """Count a keyframe by the candidate that came furthest, before and after the checks."""
+        grades = [self._grade(candidate) for candidate in ranked]
+        if "candidate" in grades:
+            self.counts.candidate += 1
+            self.counts.approved += any(
+                grade == "candidate" and candidate.decision != "rejected"
+                for grade, candidate in zip(grades, checked, strict=True)
+            )
+        elif "between" in grades:
+            self.counts.between += 1
+        elif "unjudged" in grades:
+            self.counts.unjudged += 1
+        else:
+            self.counts.discarded += 1
+
+    def _grade(self, ranked: Candidate) -> str:
+        p = self.params
+        if ranked.decision:
+            return "unjudged" if ranked.normaliser < p.min_normaliser else "discarded"
+        # What views propose has no eta, and passes.
+        below_upper = p.upper_threshold is not None and ranked.eta <= p.upper_threshold
+        return "between" if below_upper else "candidate"
 
     def _count_consistent(self, match_id: int) -> int:
         """Count the last ``tc`` keyframes that had a maximum near ``match_id``."""

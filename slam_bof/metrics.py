@@ -7,7 +7,7 @@ import resource
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -73,6 +73,7 @@ def compute_metrics(
         "n_parts": closer.n_parts,
         "n_candidates": len(considered),
         "n_verified": len(verified),
+        **{f"n_keyframes_{name}": n for name, n in asdict(closer.loop_counts).items()},
         "n_loops": len(loops),
         "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),

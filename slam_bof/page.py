@@ -21,6 +21,11 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
     "Loops and labels": {
         "n_candidates": ("pairs considered", "{}"),
         "n_verified": ("of these, judged by geometry", "{}"),
+        "n_keyframes_candidate": ("keyframes with a candidate (Table 10)", "{}"),
+        "n_keyframes_approved": ("of these, approved: consistent in time", "{}"),
+        "n_keyframes_between": ("keyframes between the thresholds", "{}"),
+        "n_keyframes_discarded": ("keyframes discarded: nothing alike enough", "{}"),
+        "n_keyframes_unjudged": ("keyframes not judged: normaliser too low", "{}"),
         "n_loops": ("loops accepted", "{}"),
         "n_loops_recognised": ("of these, found by place recognition", "{}"),
         "n_loops_rejected": ("pairs rejected", "{}"),

@@ -16,7 +16,7 @@ from slam_bof.config import Config, load, preset
 from slam_bof.covisibility import CovisibilityParams, choose_covisible, view_overlap
 from slam_bof.errors import DatasetError
 from slam_bof.keyframes import KeyframeSelector
-from slam_bof.loops import LoopDetector
+from slam_bof.loops import LoopCounts, LoopDetector
 from slam_bof.model import Model
 from slam_bof.parts import MapParts
 from slam_bof.points import PointParams, points_camera
@@ -84,6 +84,11 @@ class LoopCloser:
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
         self._T_map_track: Pose = np.eye(4)
+
+    @property
+    def loop_counts(self) -> LoopCounts:
+        """Keyframes so far by how far their search for a loop came."""
+        return self._detector.counts
 
     @classmethod
     def from_preset(cls, name: str = "indoor") -> Self:
@@ -195,9 +200,8 @@ class LoopCloser:
         self._parts.add(keyframe.segment)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud)
-            candidates = found.candidates + self._find_covisible(
-                keyframe, points, frame, {c.match_id for c in found.candidates if not c.decision}
-            )
+            proposed = {c.match_id for c in found.candidates if c.decision != "rejected"}
+            candidates = found.candidates + self._find_covisible(keyframe, points, frame, proposed)
             self._verification.add(frame, points)
             candidates, loops = self._verification.verify(
                 candidates,

@@ -177,7 +177,7 @@ class Candidate:
     ``source`` is ``view`` or ``bag`` (place recognition, by views or by bags of words) or
     ``proximity`` (the map already says the two are near); ``kind`` is as in ``Loop``.
     ``decision`` is ``accepted``, ``rejected`` or ``held`` (good, but waiting for others to
-    agree), and ``reason`` says why in words.
+    agree), and ``reason`` says why in words; empty if it was accepted for passing everything.
     """
 
     query_id: int

@@ -61,6 +61,9 @@ class LoopVerification:
     ) -> tuple[list[Candidate], list[Loop]]:
         """Judge the candidates of the newest keyframe that are still open.
 
+        Those accepted already are aligned for their pose; the verdict does not veto them, but
+        where so few points meet that the pose stays open there is no edge.
+
         ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far, and ``parts`` (K,)
         which part of it they are in, as ``parts.MapParts`` has it (without: all in one); those of
         different parts say nothing of each other. ``guesses`` are ``T_match_query`` that
@@ -80,16 +83,19 @@ class LoopVerification:
         edges: list[Loop] = []
         loops: list[Loop] = []
         for candidate in candidates:
-            if candidate.decision:
+            if candidate.decision == "rejected":
                 judged.append(candidate)
                 continue
             verified = self._align(candidate, T_map_camera, guesses.get(candidate.match_id))
             if candidate.source == "proximity" and verified.overlap < self.params.min_overlap:
                 # Too little to claim a loop, but two views of the same surfaces all the same.
                 candidate = replace(candidate, kind="covisibility")
-            reason = verified.reason or self._object(candidate, verified, T_map_camera, parts)
-            decision = "rejected" if reason else "accepted"
-            if not reason:
+            if candidate.decision == "accepted":
+                decision, reason = _take(candidate, verified)
+            else:
+                reason = verified.reason or self._object(candidate, verified, T_map_camera, parts)
+                decision = "rejected" if reason else "accepted"
+            if decision == "accepted":
                 loop = Loop(
                     candidate.query_id,
                     candidate.match_id,
@@ -161,6 +167,15 @@ class LoopVerification:
                 f"more than drift over {path_m:.1f} m explains"
             )
         return ""
+
+
+def _take(candidate: Candidate, verified: Verification) -> tuple[str, str]:
+    """Return decision and reason of a candidate that recognition accepted already."""
+    information = verified.information
+    if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
+        return "rejected", f"{candidate.reason}; no relative pose: {verified.reason}"
+    objection = f"; geometry objects: {verified.reason}" if verified.reason else ""
+    return "accepted", candidate.reason + objection
 
 
 def _size(T: Pose) -> tuple[float, float]:

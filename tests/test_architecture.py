@@ -21,7 +21,7 @@ _ROWS = """
     schema rows store queries
     registry config slam mapping
     evaluation recognition metrics synthetic training bench retrieval
-    figures page misses report runs run cli
+    figures matrices page misses report runs run cli
 """
 ORDER = _ROWS.split()
 

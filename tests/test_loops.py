@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from slam_bof import se3
-from slam_bof.loops import LoopDetector, LoopParams, scene_agreement
+from slam_bof.loops import LoopCounts, LoopDetector, LoopParams, scene_agreement
 from slam_bof.types import Bag, DepthFrame, Intrinsics, Keyframe, Scene
 
 N_WORDS = 8
@@ -77,6 +77,56 @@ def test_score_below_the_lower_threshold_is_discarded():
     *_, (candidate,) = find_all(changed(lower_threshold=2.5), keyframes(TOUR))
     assert candidate.decision == "rejected"
     assert candidate.reason == "eta 2.000 below 2.5"
+
+
+def test_above_the_upper_threshold_is_accepted_unverified_and_between_left_open():
+    *_, (accepted,) = find_all(changed(upper_threshold=1.9), keyframes(TOUR))
+    assert accepted.decision == "accepted"
+    assert accepted.reason == "eta 2.000 above 1.9: not verified"
+    *_, (between,) = find_all(changed(upper_threshold=2.0), keyframes(TOUR))
+    assert (between.decision, between.reason) == ("", "")
+
+
+def test_the_upper_threshold_does_not_spare_time_consistency():
+    params = changed(upper_threshold=0.5, tc_required=2, max_index_difference=2)
+    decisions = [c.decision for found in find_all(params, keyframes(TOUR)) for c in found]
+    assert decisions == ["rejected", "rejected", "accepted", "accepted", "accepted"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        # Keyframes 3 to 7 have older ones to search. Their maxima have eta 1, 2, 2, 2, 2.
+        ({}, LoopCounts(candidate=5, approved=5)),
+        ({"lower_threshold": 1.5}, LoopCounts(candidate=4, approved=4, discarded=1)),
+        ({"upper_threshold": 1.5}, LoopCounts(candidate=4, approved=4, between=1)),
+        ({"upper_threshold": 2.0}, LoopCounts(between=5)),
+        ({"min_normaliser": 0.6}, LoopCounts(unjudged=5)),
+        ({"tc_required": 2, "max_index_difference": 2}, LoopCounts(candidate=5, approved=3)),
+        ({"min_age_s": 60.0}, LoopCounts()),
+    ],
+)
+def test_keyframes_are_counted_as_in_table_10(changes, expected):
+    detector = LoopDetector(changed(**changes), N_WORDS)
+    for keyframe in keyframes(TOUR):
+        detector.find(keyframe, UNSEEN)
+    assert detector.counts == expected
+
+
+def test_what_nothing_is_like_is_discarded():
+    detector = LoopDetector(PAPER, N_WORDS)
+    for keyframe in keyframes([bag(i) for i in range(5)]):
+        detector.find(keyframe, UNSEEN)
+    assert detector.counts == LoopCounts(discarded=2)
+
+
+def test_a_keyframe_with_two_candidates_counts_once():
+    frames = keyframes([bag(0), bag(0, 1), bag(2), bag(2), bag(0), bag(5), bag(6), bag(0)])
+    detector = LoopDetector(changed(top_k=3, max_index_difference=1, min_normaliser=0.0), N_WORDS)
+    for keyframe in frames:
+        found = detector.find(keyframe, UNSEEN)
+    assert len(found.candidates) == 2
+    assert detector.counts == LoopCounts(candidate=2, approved=2, discarded=3)
 
 
 def test_untrusted_normaliser_is_not_judged():

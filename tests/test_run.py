@@ -60,6 +60,15 @@ def test_it_finds_true_loops_and_they_help(finished):
     assert metrics["scene_accuracy"] is None
 
 
+def test_keyframes_are_counted_by_how_far_their_search_came(finished):
+    metrics = finished.metrics
+    names = ("candidate", "between", "discarded", "unjudged")
+    counts = {name: metrics[f"n_keyframes_{name}"] for name in names}
+    assert 0 < sum(counts.values()) < metrics["n_keyframes"]  # the first have none to search
+    assert 0 < metrics["n_keyframes_approved"] <= counts["candidate"]
+    assert counts["between"] == counts["unjudged"] == 0  # views have one threshold, no normaliser
+
+
 def test_stages_are_parts_of_the_whole(finished):
     stages = {k: v for k, v in finished.metrics.items() if k.startswith("stage_ms.")}
     total = stages.pop("stage_ms.total")

@@ -1,6 +1,6 @@
 """Loops held to geometry, viewpoint, drift and each other, with an exact verifier as partner."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
@@ -22,6 +22,7 @@ class CentroidVerifier:
 
     overlap: float = 0.9
     turn_rad: float = 0.0
+    information: np.ndarray = field(default_factory=lambda: np.eye(6))
 
     def prepare(self, frame, points_camera):
         return points_camera.mean(axis=0)
@@ -31,7 +32,7 @@ class CentroidVerifier:
         T[:3, 3] = match - query
         accepted = self.overlap > 0.5
         return Verification(
-            accepted, "" if accepted else "too little", T, self.overlap, 0.01, np.eye(6)
+            accepted, "" if accepted else "too little", T, self.overlap, 0.01, self.information
         )
 
 
@@ -63,6 +64,23 @@ def test_a_good_pair_becomes_a_loop_with_its_measured_pose():
 def test_what_was_rejected_before_is_passed_on_untouched():
     before = candidate(decision="rejected", reason="eta 0.1 below 0.4")
     assert verify(CentroidVerifier(), before) == (before, [])
+
+
+def test_what_is_accepted_already_gets_its_pose_and_no_veto():
+    before = candidate(decision="accepted", reason="eta 0.9 above 0.8: not verified")
+    judged, (loop,) = verify(CentroidVerifier(overlap=0.3), before, shift_m=1.2)
+    assert judged.decision == "accepted"
+    assert judged.reason == "eta 0.9 above 0.8: not verified; geometry objects: too little"
+    np.testing.assert_allclose(loop.T_match_query[:3, 3], [-1.2, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("information", [np.zeros((6, 6)), np.diag([1.0, 1, 1, 1, 1, 0])])
+def test_what_is_accepted_already_is_no_edge_while_its_pose_is_open(information):
+    before = candidate(decision="accepted", reason="eta 0.9 above 0.8: not verified")
+    judged, loops = verify(CentroidVerifier(overlap=0.3, information=information), before)
+    assert judged.decision == "rejected"
+    assert judged.reason == "eta 0.9 above 0.8: not verified; no relative pose: too little"
+    assert loops == []
 
 
 @pytest.mark.parametrize(
