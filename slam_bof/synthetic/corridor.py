@@ -37,10 +37,6 @@ class Corridor:
     rooms: tuple[RoomPlace, ...]
     pitch_m: float
 
-    def bay_at(self, x: float) -> int:
-        """Return the number of the bay that holds a point."""
-        return int(np.clip((x + WALL_THICKNESS_M) // self.pitch_m, 0, len(self.rooms) - 1))
-
 
 def make_corridor(n_rooms: int = 4, *, seed: int = 0) -> Corridor:
     """Build a corridor off which ``n_rooms`` rooms open that are the same to the millimetre.
