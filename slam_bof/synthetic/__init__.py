@@ -3,6 +3,8 @@
 Open3D, which casts the rays, is imported when the first ``Scene3D`` is made.
 """
 
+from slam_bof.synthetic.brisk import make_brisk_tour, write_brisk_tour
+from slam_bof.synthetic.corridor import make_corridor, make_corridor_tour, write_corridor
 from slam_bof.synthetic.flat import make_flat, make_tour
 from slam_bof.synthetic.rooms import ROOM_KINDS, make_room
 from slam_bof.synthetic.scene import KINECT, Scene3D
@@ -19,6 +21,9 @@ __all__ = [
     "Waypoint",
     "camera_poses",
     "is_complete",
+    "make_brisk_tour",
+    "make_corridor",
+    "make_corridor_tour",
     "make_flat",
     "make_room",
     "make_tour",
@@ -26,6 +31,8 @@ __all__ = [
     "spin",
     "training_views",
     "walk",
+    "write_brisk_tour",
+    "write_corridor",
     "write_flat",
     "write_sequence",
 ]

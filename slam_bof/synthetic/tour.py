@@ -15,9 +15,11 @@ from scipy.ndimage import gaussian_filter1d
 from slam_bof import se3
 from slam_bof.types import Array, Pose
 
-__all__ = ["FRAME_RATE_HZ", "Waypoint", "camera_poses", "spin", "walk"]
+__all__ = ["FRAME_RATE_HZ", "TURN_RATE", "Waypoint", "camera_poses", "spin", "walk"]
 
 FRAME_RATE_HZ = 30.0
+TURN_RATE = float(np.deg2rad(63.0))
+"""How fast one who films turns, rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +67,7 @@ def walk(
     waypoints: list[Waypoint],
     *,
     speed_m_s: float = 0.95,
-    turn_rate: float = np.deg2rad(63.0),
+    turn_rate: float = TURN_RATE,
     smoothing_s: float = 0.3,
     seed: int = 0,
 ) -> Array:

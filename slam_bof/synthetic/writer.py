@@ -8,7 +8,7 @@ import json
 import shutil
 import tempfile
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 
@@ -98,6 +98,7 @@ def write_scene(
     recipe: dict[str, object],
     frame_numbers: Sequence[int] | None = None,
     labels: Sequence[str] | None = None,
+    dark: Collection[int] = (),
     seed: int = 0,
     sensor: SensorParams | None = None,
     progress: Progress | None = None,
@@ -122,6 +123,7 @@ def write_scene(
             scene,
             poses,
             frame_numbers=frame_numbers,
+            dark=dark,
             seed=seed,
             sensor=sensor,
             progress=progress,
@@ -146,6 +148,7 @@ def write_sequence(
     poses: Array,
     *,
     frame_numbers: Sequence[int] | None = None,
+    dark: Collection[int] = (),
     seed: int = 0,
     sensor: SensorParams | None = None,
     progress: Progress | None = None,
@@ -162,6 +165,8 @@ def write_sequence(
         ``T_world_camera`` (N, 4, 4).
     frame_numbers
         The numbers in the files' names, by default 0 to N - 1.
+    dark
+        Numbers of frames in which the lens is covered: no depth, no light.
     seed
         Of the sensor noise; each frame's noise depends on it and the frame's number alone.
     sensor
@@ -175,7 +180,7 @@ def write_sequence(
     # Ray casting and PNG coding both release the interpreter: one thread each keeps two busy.
     with ThreadPoolExecutor(max_workers=1) as pool:
         for done, (number, pose) in enumerate(zip(numbers, poses, strict=True), start=1):
-            view = scene.view(pose)
+            view = None if number in dark else scene.view(pose)
             pending.append(
                 pool.submit(_write_frame, folder, number, scene, view, pose, seed, sensor)
             )
@@ -191,14 +196,17 @@ def _write_frame(
     folder: Path,
     number: int,
     scene: Scene3D,
-    view: View,
+    view: View | None,
     T_world_camera: Pose,
     seed: int,
     sensor: SensorParams | None,
 ) -> None:
-    rng = np.random.default_rng([seed, number])
-    depth = sense(view.depth_m, view.returned, rng, sensor)
-    color = scene.color(view)[..., ::-1]
+    shape = scene.intrinsics.height, scene.intrinsics.width
+    depth, color = np.zeros(shape, np.uint16), np.zeros((*shape, 3), np.uint8)
+    if view is not None:
+        rng = np.random.default_rng([seed, number])
+        depth = sense(view.depth_m, view.returned, rng, sensor)
+        color = scene.color(view)[..., ::-1]
     stem = f"frame-{number:06d}"
     for name, image in ((f"{stem}.depth.png", depth), (f"{stem}.color.png", color)):
         path = folder / name
