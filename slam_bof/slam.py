@@ -39,6 +39,8 @@ from slam_bof.verification import LoopVerification
 __all__ = ["LoopCloser", "MiniSlam", "SlamResult"]
 
 N_OVERLAP_POINTS = 200
+LOST = -1
+"""In place of a segment, of frames while odometry was lost."""
 
 
 class LoopCloser:
@@ -83,6 +85,7 @@ class LoopCloser:
         self._parts = MapParts()
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
+        self._segments: list[int] = []
         self._T_map_track: Pose = np.eye(4)
 
     @property
@@ -134,6 +137,7 @@ class LoopCloser:
             track = self._tracker.track(frame, T_odom_camera)
         self._stamps_s.append(frame.stamp_s)
         self._T_odom_camera.append(track.T_odom_camera)
+        self._segments.append(LOST if track.is_lost else track.segment)
         if self._is_keyframe(frame_index, track):
             self._tracker.keep()
             step = self._add_keyframe(frame_index, frame, track)
@@ -157,7 +161,13 @@ class LoopCloser:
             return Trajectory()
         stamps_s, T_odom_camera = np.array(self._stamps_s), np.array(self._T_odom_camera)
         frame_indices = np.array([k.frame_index for k in self.keyframes])
-        poses = spread_correction(T_odom_camera, stamps_s, frame_indices, self.backend.poses())
+        poses = spread_correction(
+            T_odom_camera,
+            stamps_s,
+            frame_indices,
+            self.backend.poses(),
+            np.array(self._segments),
+        )
         return Trajectory(stamps_s, poses)
 
     def _is_keyframe(self, frame_index: int, track: Track) -> bool:
@@ -166,6 +176,7 @@ class LoopCloser:
             return False
         if self.keyframes and self.keyframes[-1].segment != track.segment:
             self._selector.reset()
+            self._segments[-2] = track.segment  # whose agreement showed that the track is found
         return self._selector.select(frame_index, track.T_odom_camera, seen=track.seen)
 
     @property

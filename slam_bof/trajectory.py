@@ -99,13 +99,18 @@ def read_kitti(path: Path, stamps_s: Array | None = None) -> Trajectory:
 
 
 def spread_correction(
-    T_odom_camera: Array, stamps_s: Array, keyframe_indices: Array, T_map_keyframes: Array
+    T_odom_camera: Array,
+    stamps_s: Array,
+    keyframe_indices: Array,
+    T_map_keyframes: Array,
+    segments: Array | None = None,
 ) -> Array:
     """Spread the keyframes' corrections smoothly over all frames.
 
     Each frame is carried along from the keyframe before it and from the one after it by
     odometry, and interpolated between the two by time; there is no lever arm, so a frame moves
-    no more than its keyframes do.
+    no more than its keyframes do. Where odometry was lost in between, a frame goes with the
+    keyframe on its side; while it was lost, with both.
 
     Parameters
     ----------
@@ -113,6 +118,9 @@ def spread_correction(
         (N, 4, 4) odometry poses and (N,) times of all frames.
     keyframe_indices, T_map_keyframes
         (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0.
+    segments
+        (N,) the uninterrupted track that each frame is of, -1 where odometry was lost; without,
+        all are of one.
 
     Returns
     -------
@@ -126,6 +134,11 @@ def spread_correction(
     start_s, end_s = stamps_s[keyframe_indices][before], stamps_s[keyframe_indices][after]
     span_s = np.where(after > before, end_s - start_s, 1.0)
     fraction = np.where(after > before, np.maximum(stamps_s - start_s, 0.0) / span_s, 0.0)
+    if segments is not None:
+        of_keyframes = segments[keyframe_indices]
+        alone = of_keyframes[before] != of_keyframes[after]
+        fraction[alone & (segments == of_keyframes[before])] = 0.0
+        fraction[alone & (segments == of_keyframes[after])] = 1.0
     return se3.interpolate(
         T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
     )

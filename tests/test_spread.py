@@ -54,3 +54,18 @@ def test_correction_grows_evenly_and_has_no_lever_arm():
     assert (np.diff(moved_m) > 0).all()
     assert moved_m.max() == pytest.approx(moved_m[-1])
     assert np.diff(moved_m).max() < 0.02
+
+
+def test_across_a_loss_frames_go_with_the_keyframe_on_their_side(odometry):
+    """Frames 0 to 5 are of one track, 9 to 20 of another, and nothing is known of 6 to 8."""
+    T_odom_camera, stamps_s = odometry
+    segments = np.repeat([0, -1, 1], [6, 3, 12])
+    T_map_odom = se3.pose(np.eye(3), [5.0, 0.0, 0.0])
+    keyframes = np.array([0, 10, 20])
+    T_map_keyframes = T_odom_camera[keyframes]
+    T_map_keyframes[1:] = T_map_odom @ T_map_keyframes[1:]
+    spread = spread_correction(T_odom_camera, stamps_s, keyframes, T_map_keyframes, segments)
+    np.testing.assert_allclose(spread[:6], T_odom_camera[:6], atol=1e-12)
+    np.testing.assert_allclose(spread[9:], T_map_odom @ T_odom_camera[9:], atol=1e-12)
+    between_m = spread[6:9, 0, 3] - T_odom_camera[6:9, 0, 3]
+    np.testing.assert_allclose(between_m, [3.0, 3.5, 4.0], atol=1e-6)

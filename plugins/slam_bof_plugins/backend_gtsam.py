@@ -37,6 +37,9 @@ class GtsamParams(Params):
     odometry_sigma_m: float = Field(0.05, gt=0)
     loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
     cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
+    tolerance: float = Field(
+        0.01, ge=0, description="rad and m by which loops may contradict the map while frames come"
+    )
     n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
     max_iterations: int = Field(50, gt=0)
     select_loops: bool = Field(True, description="leave out, at the end, what contradicts the rest")
@@ -100,13 +103,18 @@ class GtsamBackend:
         self._new_values = gtsam.Values(self._estimate)
 
     def add_loop(self, loop: Loop) -> None:
-        """Add a verified edge; its information keeps its shape and is scaled to one trace."""
+        """Add a verified edge; its information keeps its shape and is scaled to one trace.
+
+        One that says what the map has already waits for the end: where the same place is seen
+        over and over, iSAM2's tree would become dense and each update slower than the last.
+        """
         shape = loop.information / np.trace(loop.information) * 6.0
         noise = gtsam.noiseModel.Gaussian.Information(shape / self.params.loop_sigma**2)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
         self._loops.append((edge, noise))
-        self._new_factors.add(self._robust(edge, noise))
-        self._has_new_loop = True
+        if self._is_news(edge):
+            self._new_factors.add(self._robust(edge, noise))
+            self._has_new_loop = True
 
     def update(self) -> None:
         """Bring the estimate up to date with the factors added since the last call."""
@@ -161,6 +169,12 @@ class GtsamBackend:
         """Return the loops that were not left out when the graph was last optimised."""
         left_out = np.flatnonzero(self._weights < 0.5)
         return [loop for k, loop in enumerate(self._loops) if k not in left_out]
+
+    def _is_news(self, edge: Edge) -> bool:
+        """Tell whether an edge contradicts the estimate by more than the tolerance."""
+        match, query = self._estimate.atPose3(edge.match), self._estimate.atPose3(edge.query)
+        error = gtsam.Pose3.Logmap(edge.measured.between(match.between(query)))
+        return bool(np.abs(error).max() > self.params.tolerance)
 
     def _robust(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.NonlinearFactor:
         kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.params.cauchy)
