@@ -16,7 +16,7 @@ from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.stack import Stack
-from slam_bof.types import Array, Intrinsics, Params, Pose
+from slam_bof.types import Array, Intrinsics, Params
 from slam_bof.views import View
 
 __all__ = ["Agreement", "AlignmentParams", "SurfacePairs", "ViewAligner"]
@@ -29,6 +29,8 @@ ORBIT_M = 2.0
 MIN_COSINE = 0.6
 """Between the normals of points that match."""
 
+NEAR_M = np.float32(0.05)
+"""Nearer than this, points are not projected."""
 NORMAL_STEPS = 127
 """A normal is kept in bytes, each coordinate in so many steps."""
 
@@ -44,6 +46,8 @@ class AlignmentParams(Params):
     sigma_m: tuple[float, float, float] = Field((0.25, 0.15, 0.25), description="along x, y, z")
     search_tolerance: tuple[float, float] = Field((0.1, 0.03), description="m, and share of depth")
     n_iterations: int = Field(12, gt=0, description="of ICP")
+    n_fine_iterations: int = Field(4, ge=0, description="of which the last look at all points")
+    n_coarse_points: int = Field(400, gt=0, description="that the others look at")
     gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
     tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
 
@@ -60,21 +64,25 @@ class Agreement(NamedTuple):
 class SurfacePairs(NamedTuple):
     """Points of a query that lie on a surface of the match, all in the query's camera frame."""
 
-    points_query: Floats
+    points_query: Array
     """(M, 3)."""
-    normals_query: Floats
+    normals_query: Array
     """(M, 3), of the match's surface."""
-    residuals_m: Floats
+    residuals_m: Array
     """(M,) from the point to the surface, along the normal."""
 
 
 class _Association(NamedTuple):
-    """For n matches and m points: points and normals (n, m, 3) in the matches' frames."""
+    """For n matches and m points, in the matches' frames; one coordinate after the other."""
 
     points: Floats
+    """(n, 3, m)."""
     normals: Floats
+    """(n, 3, m), of the matches' surfaces."""
     residuals_m: Floats
+    """(n, m)."""
     matched: NDArray[np.bool_]
+    """(n, m)."""
 
 
 class ViewAligner:
@@ -139,34 +147,35 @@ class ViewAligner:
         """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch."""
         p = self.params
         T: Floats = T_match_query.astype(np.float32)
-        for gate in np.geomspace(*p.gates_m, p.n_iterations).tolist():
-            found = self._associate(query, matches, T, gate)
-            # Geman-McClure, and less for what is far, whose depth is less sure.
-            robust = (1.0 + (2.0 * found.residuals_m / gate) ** 2) ** -2
-            weight = np.where(found.matched, robust / (0.2 + 0.2 * found.points[..., 2] ** 2), 0.0)
-            turn = np.cross(found.points, found.normals)
-            T = _exp(_solve(turn, found.normals, found.residuals_m, weight)) @ T
+        for k, gate in enumerate(np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32)):
+            fine = k >= p.n_iterations - p.n_fine_iterations
+            found = self._associate(query, matches, T, gate, None if fine else p.n_coarse_points)
+            T = _exp(_step(found, gate)) @ T
         return T.astype(np.float64)
 
-    def surface_pairs(self, query: int, match: int, T_match_query: Pose) -> SurfacePairs:
-        """Return what the two see of the same surfaces at a pose (4, 4), within the last gate."""
-        T = T_match_query[None].astype(np.float32)
-        found = self._associate(query, np.array([match]), T, self.params.gates_m[-1])
-        matched = found.matched[0]
-        pixels = self._surface.rows[query][matched]
-        R_query_match = T_match_query[:3, :3].T
-        return SurfacePairs(
-            self._points(query, pixels),
-            found.normals[0][matched] @ R_query_match.T,
-            found.residuals_m[0][matched],
-        )
+    def surface_pairs(
+        self, query: int, matches: Indices, T_match_query: Array
+    ) -> list[SurfacePairs]:
+        """Return what the query sees of each match's surfaces, within the last gate.
 
-    def seen(self, query: int, match: int, T_match_query: Pose) -> tuple[float, float]:
-        """Return the shares of the query's points that the match sees, and that block it."""
+        That is at poses (n, 4, 4).
+        """
+        found = self._associate(
+            query, matches, T_match_query.astype(np.float32), np.float32(self.params.gates_m[-1])
+        )
+        points = self._points(query, self._surface.rows[query]).astype(np.float64)
+        pairs = []
+        for k, matched in enumerate(found.matched):
+            R_match_query = T_match_query[k, :3, :3]
+            normals = found.normals[k][:, matched].T @ R_match_query
+            residuals_m = found.residuals_m[k][matched].astype(np.float64)
+            pairs.append(SurfacePairs(points[matched], normals, residuals_m))
+        return pairs
+
+    def seen(self, query: int, matches: Indices, T_match_query: Array) -> tuple[Floats, Floats]:
+        """Return the shares (n,) of the query's points that each match sees, and that block it."""
         points = self._points(query, self._sampled.rows[query])
-        T = T_match_query[None].astype(np.float32)
-        seen, blocking = self._shares(points, np.array([match]), T)
-        return float(seen[0]), float(blocking[0])
+        return self._shares(points, matches, T_match_query.astype(np.float32))
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
@@ -217,35 +226,58 @@ class ViewAligner:
         rotated = poses[..., :3, :3].reshape(n, -1, 3) @ points.T
         moved = rotated.reshape(n, n_poses, 3, -1) + poses[..., :3, 3:]
         depth = moved[:, :, 2]
-        pixels, inside = self._project(moved[:, :, 0], moved[:, :, 1], depth)
-        there = self._depth(matches[:, None, None], pixels)
+        column, row, inside = self._project(moved[:, :, 0], moved[:, :, 1], depth)
+        pixels = self._pixel(matches[:, None, None], column, row, inside)
+        there = self._depths_m.rows.reshape(-1).take(pixels)
         off = depth - there
         allowed = tolerance[0] + tolerance[1] * there
         worth = np.maximum(1.0 - np.abs(off) / allowed, 0.0) - 0.5 * (off < -allowed)
         return np.asarray(np.where(inside & (there > 0), worth, 0.0).mean(axis=-1))
 
-    def _associate(self, query: int, matches: Indices, T: Floats, gate_m: float) -> _Association:
+    def _associate(
+        self,
+        query: int,
+        matches: Indices,
+        T: Floats,
+        gate_m: np.float32,
+        n_points: int | None = None,
+    ) -> _Association:
         """Pair the query's surface points with what the others see at the pixels they fall on."""
-        pixels = self._surface.rows[query]
-        R_t = T[:, :3, :3].transpose(0, 2, 1)
-        moved = self._points(query, pixels) @ R_t + T[:, None, :3, 3]
-        fallen, inside = self._project(*np.moveaxis(moved, -1, 0))
-        gap = self._points(matches[:, None], fallen) - moved
-        normals = self._normal(matches[:, None], fallen)
+        camera = self._camera
+        assert camera is not None
+        pixels = self._surface.rows[query, :n_points]
+        points = _rotate(T, self._points(query, pixels)) + T[:, :3, 3:]
+        facing = _rotate(T, self._normal(query, pixels))
+        column, row, inside = self._project(*np.moveaxis(points, 1, 0))
+        there = self._pixel(matches[:, None], column, row, inside)
+        depth = self._depths_m.rows.reshape(-1).take(there)
+        bytes_ = self._normals.rows.reshape(-1, 3).take(there, axis=0)
+        normals = np.empty_like(points)
+        np.multiply(np.moveaxis(bytes_, -1, 1), np.float32(1.0 / NORMAL_STEPS), out=normals)
+        column -= np.float32(camera.cx)
+        column *= np.float32(1.0 / camera.fx)
+        row -= np.float32(camera.cy)
+        row *= np.float32(1.0 / camera.fy)
+        gap = np.empty_like(points)
+        np.multiply(column, depth, out=gap[:, 0])
+        np.multiply(row, depth, out=gap[:, 1])
+        gap[:, 2] = depth
+        gap -= points
         residuals_m = _dot(gap, normals)
         matched = (
             inside
             & (_dot(gap, gap) < 4.0 * gate_m**2)
             & (np.abs(residuals_m) < gate_m)
-            & (_dot(normals, self._normal(query, pixels) @ R_t) > MIN_COSINE)
+            & (_dot(normals, facing) > MIN_COSINE)
         )
-        return _Association(moved, normals, residuals_m, matched)
+        return _Association(points, normals, residuals_m, matched)
 
     def _shares(self, points: Floats, frames: Indices, T: Floats) -> tuple[Floats, Floats]:
         """Return the shares of points that the frames see, and that block what they see."""
         moved = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
-        pixels, inside = self._project(*np.moveaxis(moved, -1, 0))
-        there = self._depth(frames[:, None], pixels)
+        column, row, inside = self._project(*np.moveaxis(moved, -1, 0))
+        pixels = self._pixel(frames[:, None], column, row, inside)
+        there = self._depths_m.rows.reshape(-1).take(pixels)
         inside &= there > 0
         off = moved[..., 2] - there
         fixed, share = self.params.tolerance
@@ -254,21 +286,33 @@ class ViewAligner:
             axis=1
         )
 
-    def _project(self, x: Floats, y: Floats, z: Floats) -> tuple[Indices, NDArray[np.bool_]]:
-        """Return the pixels that points fall on, and whether they are in the image at all."""
+    def _project(self, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+        """Return the column and row that points fall on, and whether those are in the image."""
         camera = self._camera
         assert camera is not None
-        inverse = np.float32(1.0) / np.maximum(z, np.float32(0.05))
-        column = np.rint(x * inverse * np.float32(camera.fx) + np.float32(camera.cx))
-        row = np.rint(y * inverse * np.float32(camera.fy) + np.float32(camera.cy))
-        inside = (
-            (z > 0.05)
-            & (column >= 0)
-            & (column < camera.width)
-            & (row >= 0)
-            & (row < camera.height)
-        )
-        return np.where(inside, row * camera.width + column, 0).astype(np.intp), inside
+        inverse = np.maximum(z, NEAR_M)
+        np.divide(np.float32(1.0), inverse, out=inverse)
+        column, row = x * inverse, y * inverse
+        for along, focal, centre in (
+            (column, camera.fx, camera.cx),
+            (row, camera.fy, camera.cy),
+        ):
+            along *= np.float32(focal)
+            along += np.float32(centre)
+            np.rint(along, out=along)
+        inside = (z > NEAR_M) & (column >= 0) & (column < camera.width)
+        inside &= (row >= 0) & (row < camera.height)
+        return column, row, inside
+
+    def _pixel(
+        self, views: int | Indices, column: Floats, row: Floats, inside: NDArray[np.bool_]
+    ) -> Indices:
+        """Return where in the flat arrays of all views a pixel is; that of 0 if outside."""
+        assert self._camera is not None
+        pixels = row * np.float32(self._camera.width)
+        pixels += column
+        pixels *= inside
+        return pixels.astype(np.intp) + views * len(self._rays)
 
 
 def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
@@ -291,20 +335,41 @@ def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
     return rounds
 
 
+def _rotate(T: Floats, vectors: Floats) -> Floats:
+    """Return vectors (m, 3) turned by each of (n, 4, 4), coordinate by coordinate: (n, 3, m)."""
+    turns = np.ascontiguousarray(T[:, :3, :3]).reshape(-1, 3)
+    return np.asarray(turns @ vectors.T).reshape(len(T), 3, -1)
+
+
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Return the dot products (...) of vectors (..., 3)."""
-    return np.asarray(np.einsum("...i,...i->...", a, b))
+    """Return the dot products (n, m) of vectors (n, 3, m)."""
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
-def _solve(turn: Floats, push: Floats, residual: Floats, weight: Floats) -> Floats:
+def _step(found: _Association, gate_m: np.float32) -> Floats:
     """Return the small motions (n, 6), rotation first, of damped weighted least squares."""
-    jacobian = np.concatenate([turn, push], axis=-1)
-    weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
-    normal_matrix = weighted @ jacobian
-    gradient = weighted @ residual[..., None]
+    points, normals, residuals_m, matched = found
+    x, y, z = np.moveaxis(points, 1, 0)
+    a, b, c = np.moveaxis(normals, 1, 0)
+    n, _, m = points.shape
+    rows = np.empty((n, 7, m), np.float32)
+    rows[:, 0] = y * c - z * b
+    rows[:, 1] = z * a - x * c
+    rows[:, 2] = x * b - y * a
+    rows[:, 3:6] = normals
+    rows[:, 6] = residuals_m
+    # Geman-McClure, and less for what is far, whose depth is less sure.
+    weight = residuals_m * (np.float32(2.0) / gate_m)
+    weight *= weight
+    weight += np.float32(1.0)
+    weight *= weight
+    weight *= np.float32(0.2) + np.float32(0.2) * z * z
+    np.divide(matched, weight, out=weight)
+    products = (rows[:, :6] * weight[:, None]) @ rows.transpose(0, 2, 1)
+    normal_matrix, gradient = products[..., :6], products[..., 6:]
     # What the surfaces leave open stays as it is.
     damping = 1e-3 + 0.0005 * np.trace(normal_matrix, axis1=1, axis2=2)
-    normal_matrix += damping[:, None, None] * np.eye(6, dtype=np.float32)
+    normal_matrix = normal_matrix + damping[:, None, None] * np.eye(6, dtype=np.float32)
     return np.linalg.solve(normal_matrix, gradient)[..., 0]
 
 

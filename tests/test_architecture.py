@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A module imports only from rows above its own. This is the one place that says so.
 _ROWS = """
-    errors types validation native scratch stack se3 timing trajectory ports
+    errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     gravity views spectra panorama slices alignment recogniser
     scenes keyframes loops covisibility consistency verification model
@@ -39,6 +39,7 @@ OPEN_TO_PLUGINS = set(
         "places",
         "views",
         "alignment",
+        "judgement",
     ]
 )
 
