@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
-    gravity views spectra panorama slices alignment recogniser
+    gravity views viewstack spectra panorama slices alignment recogniser
     scenes keyframes loops covisibility consistency verification model
     schema rows store queries
     registry config slam mapping
