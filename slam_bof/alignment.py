@@ -3,34 +3,33 @@
 A pose is good where the points of either view, seen from the other, lie at the depth that the
 other has there: *seen* by it. Points that would stand in front of what it sees contradict:
 *blocking*. First a random search about starting poses, scored by few points; then point-to-plane
-ICP with projective association (Blais and Levine 1995), all pairs in one batch.
+ICP with projective association (Blais and Levine 1995), all pairs in one batch, by few points
+until they are close.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from slam_bof import se3
-from slam_bof.stack import Stack
-from slam_bof.types import Array, Intrinsics, Params, Pose
+from slam_bof.types import Array, Params
 from slam_bof.views import View
+from slam_bof.viewstack import Floats, Indices, ViewStack
 
 __all__ = ["Agreement", "AlignmentParams", "SurfacePairs", "ViewAligner"]
-
-Indices = NDArray[np.integer[Any]]
-Floats = NDArray[np.floating[Any]]
 
 ORBIT_M = 2.0
 """Half the random motions turn about a point so far ahead, at which the camera keeps looking."""
 MIN_COSINE = 0.6
 """Between the normals of points that match."""
-
-NORMAL_STEPS = 127
-"""A normal is kept in bytes, each coordinate in so many steps."""
+CHUNK = 2**15
+"""Points computed at a time, that they stay in the cache."""
 
 
 class AlignmentParams(Params):
@@ -44,6 +43,8 @@ class AlignmentParams(Params):
     sigma_m: tuple[float, float, float] = Field((0.25, 0.15, 0.25), description="along x, y, z")
     search_tolerance: tuple[float, float] = Field((0.1, 0.03), description="m, and share of depth")
     n_iterations: int = Field(12, gt=0, description="of ICP")
+    n_fine_iterations: int = Field(8, ge=0, description="of which the last look at all points")
+    n_coarse_points: int = Field(1000, gt=0, description="that the others look at")
     gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
     tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
 
@@ -62,21 +63,25 @@ class Agreement(NamedTuple):
 class SurfacePairs(NamedTuple):
     """Points of a query that lie on a surface of the match, all in the query's camera frame."""
 
-    points_query: Floats
+    points_query: Array
     """(M, 3)."""
-    normals_query: Floats
+    normals_query: Array
     """(M, 3), of the match's surface."""
-    residuals_m: Floats
+    residuals_m: Array
     """(M,) from the point to the surface, along the normal."""
 
 
 class _Association(NamedTuple):
-    """For n matches and m points: points and normals (n, m, 3) in the matches' frames."""
+    """For n matches and m points, in the matches' frames; one coordinate after the other."""
 
     points: Floats
+    """(n, 3, m)."""
     normals: Floats
+    """(n, 3, m), of the matches' surfaces."""
     residuals_m: Floats
+    """(n, m)."""
     matched: NDArray[np.bool_]
+    """(n, m)."""
 
 
 class ViewAligner:
@@ -84,14 +89,7 @@ class ViewAligner:
 
     def __init__(self, params: AlignmentParams, *, seed: int = 0) -> None:
         self.params = params
-        self._seed = seed
-        self._camera: Intrinsics | None = None
-        self._rays: NDArray[np.float32]
-        self._depths_m: Stack
-        self._normals: Stack
-        self._sampled: Stack
-        self._surface: Stack
-        self._order: Indices
+        self._views = ViewStack(params.n_points, seed=seed)
         self._motions = _random_motions(params, seed)
 
     def add(self, view: View) -> None:
@@ -102,46 +100,24 @@ class ViewAligner:
         ValueError
             If it is of another camera than the views before.
         """
-        p = self.params
-        if self._camera is None:
-            n_pixels = view.depth_m.size
-            self._camera = view.intrinsics
-            self._rays = view.rays().reshape(-1, 3)
-            self._depths_m = Stack((n_pixels,), np.float32)
-            self._normals = Stack((n_pixels, 3), np.int8)
-            self._sampled = Stack((p.n_points,), np.int32)
-            self._surface = Stack((p.n_points,), np.int32)
-            self._order = np.random.default_rng(self._seed).permutation(n_pixels)
-        if view.intrinsics != self._camera:
-            raise ValueError(f"views must be of {self._camera}, got {view.intrinsics}")
-        normals = view.normals_camera.reshape(-1, 3)
-        self._depths_m.append(view.depth_m.reshape(-1))
-        self._normals.append(np.rint(normals * NORMAL_STEPS))
-        self._sampled.append(self._sample(np.flatnonzero(view.depth_m)))
-        self._surface.append(self._sample(np.flatnonzero(normals.any(axis=1))))
+        self._views.add(view)
 
     def __len__(self) -> int:
         """Return the number of views held."""
-        return 0 if self._camera is None else len(self._depths_m)
+        return len(self._views)
 
     def truncate(self, n: int) -> None:
         """Hold only the first ``n`` views."""
-        if self._camera is not None:
-            for stack in (self._depths_m, self._normals, self._sampled, self._surface):
-                stack.truncate(n)
+        self._views.truncate(n)
 
     @property
     def nbytes(self) -> int:
         """Bytes of all views held."""
-        if self._camera is None:
-            return 0
-        stacks = (self._depths_m, self._normals, self._sampled, self._surface)
-        return sum(stack.rows.nbytes for stack in stacks)
+        return self._views.nbytes
 
     def points_camera(self, view_id: int) -> NDArray[np.float32]:
         """Return the points (N, 3) of a view."""
-        depth_m = self._depths_m.rows[view_id]
-        return np.asarray((self._rays * depth_m[:, None])[depth_m > 0])
+        return self._views.points_camera(view_id)
 
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
@@ -151,41 +127,42 @@ class ViewAligner:
         """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch."""
         p = self.params
         T: Floats = T_match_query.astype(np.float32)
-        for gate in np.geomspace(*p.gates_m, p.n_iterations).tolist():
-            found = self._associate(query, matches, T, gate)
-            # Geman-McClure, and less for what is far, whose depth is less sure.
-            robust = (1.0 + (2.0 * found.residuals_m / gate) ** 2) ** -2
-            weight = np.where(found.matched, robust / (0.2 + 0.2 * found.points[..., 2] ** 2), 0.0)
-            turn = np.cross(found.points, found.normals)
-            T = _exp(_solve(turn, found.normals, found.residuals_m, weight)) @ T
+        for k, gate_m in enumerate(np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32)):
+            fine = k >= p.n_iterations - p.n_fine_iterations
+            n_points = p.n_points if fine else min(p.n_points, p.n_coarse_points)
+            for some in _chunks(len(matches), n_points):
+                found = self._associate(query, matches[some], T[some], gate_m, n_points)
+                T[some] = _exp(_step(found, gate_m)) @ T[some]
         return T.astype(np.float64)
 
-    def surface_pairs(self, query: int, match: int, T_match_query: Pose) -> SurfacePairs:
-        """Return what the two see of the same surfaces at a pose (4, 4), within the last gate."""
-        T = T_match_query[None].astype(np.float32)
-        found = self._associate(query, np.array([match]), T, self.params.gates_m[-1])
-        matched = found.matched[0]
-        pixels = self._surface.rows[query][matched]
-        R_query_match = T_match_query[:3, :3].T
-        return SurfacePairs(
-            self._points(query, pixels),
-            found.normals[0][matched] @ R_query_match.T,
-            found.residuals_m[0][matched],
-        )
+    def surface_pairs(
+        self, query: int, matches: Indices, T_match_query: Array
+    ) -> list[SurfacePairs]:
+        """Return what the query sees of each match's surfaces at poses (n, 4, 4).
 
-    def seen(self, query: int, match: int, T_match_query: Pose) -> tuple[float, float]:
-        """Return the shares of the query's points that the match sees, and that block it."""
-        points = self._points(query, self._sampled.rows[query])
-        T = T_match_query[None].astype(np.float32)
-        seen, blocking, _ = self._shares(points, np.array([match]), T)
-        return float(seen[0]), float(blocking[0])
+        That is within the last gate.
+        """
+        gate_m = np.float32(self.params.gates_m[-1])
+        T = T_match_query.astype(np.float32)
+        found = self._associate(query, matches, T, gate_m, self.params.n_points)
+        points = self._views.surface(query)[0].astype(np.float64)
+        pairs = []
+        for k, matched in enumerate(found.matched):
+            normals = found.normals[k][:, matched].T @ T_match_query[k, :3, :3]
+            residuals_m = found.residuals_m[k][matched].astype(np.float64)
+            pairs.append(SurfacePairs(points[matched], normals, residuals_m))
+        return pairs
+
+    def seen(self, query: int, matches: Indices, T_match_query: Array) -> tuple[Floats, Floats]:
+        """Return the shares (n,) of the query's points that each match sees, and that block it."""
+        points = self._views.sampled(query)
+        return self._shares(points, matches, T_match_query.astype(np.float32))[:2]
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
         T = T_match_query.astype(np.float32)
-        points = self._points(query, self._sampled.rows[query])
-        seen, blocking, compared = self._shares(points, matches, T)
-        own = self._points(matches[:, None], self._sampled.rows[matches])
+        seen, blocking, compared = self._shares(self._views.sampled(query), matches, T)
+        own = self._views.sampled(matches)
         back = se3.inverse(T_match_query).astype(np.float32)
         seen_back, blocking_back, compared_back = self._shares(
             own, np.full(len(matches), query), back
@@ -196,34 +173,15 @@ class ViewAligner:
             np.minimum(compared, compared_back),
         )
 
-    # ``take`` from flat arrays is three times as fast as indexing by views and pixels.
-
-    def _depth(self, views: int | Indices, pixels: Indices) -> Floats:
-        flat = self._depths_m.rows.reshape(-1)
-        return np.asarray(flat.take(views * len(self._rays) + pixels))
-
-    def _points(self, views: int | Indices, pixels: Indices) -> Floats:
-        return np.asarray(self._rays.take(pixels, axis=0) * self._depth(views, pixels)[..., None])
-
-    def _normal(self, views: int | Indices, pixels: Indices) -> Floats:
-        flat = self._normals.rows.reshape(-1, 3)
-        found = flat.take(views * len(self._rays) + pixels, axis=0)
-        return np.asarray(found * np.float32(1.0 / NORMAL_STEPS))
-
-    def _sample(self, pixels: Indices) -> Indices:
-        """Return ``n_points`` of these, some twice where they are few, or else just any."""
-        chosen = self._order[np.isin(self._order, pixels)]
-        return np.resize(chosen if len(chosen) else self._order, self.params.n_points)
-
     def _search(self, query: int, matches: Indices, starts: Floats) -> Floats:
         """Return the best of random poses about the starts, in rounds of smaller motions."""
-        p = self.params
-        pixels = self._sampled.rows[query, : p.n_search_points]
-        points = self._points(query, pixels)
-        tolerance = np.array(p.search_tolerance, np.float32)
+        points = self._views.sampled(query, self.params.n_search_points)
+        tolerance = np.array(self.params.search_tolerance, np.float32)
         for motions in self._motions:
             tried = np.matmul(motions, starts[:, :, None]).reshape(len(starts), -1, 4, 4)
-            scores = self._score(points, matches, tried, tolerance)
+            scores = np.empty(tried.shape[:2], np.float32)
+            for some in _chunks(len(matches), scores.shape[1] * len(points)):
+                scores[some] = self._score(points, matches[some], tried[some], tolerance)
             best = np.argsort(-scores, axis=1, kind="stable")[:, :2]
             starts = np.take_along_axis(tried, best[..., None, None], axis=1)
             tolerance = tolerance * np.float32(0.7)
@@ -232,60 +190,56 @@ class ViewAligner:
     def _score(self, points: Floats, matches: Indices, poses: Floats, tolerance: Floats) -> Floats:
         """Score poses (n, P, 4, 4): points at the depth that is there count, blocking ones cost."""
         n, n_poses = poses.shape[:2]
-        rotated = poses[..., :3, :3].reshape(n, -1, 3) @ points.T
-        moved = rotated.reshape(n, n_poses, 3, -1) + poses[..., :3, 3:]
-        depth = moved[:, :, 2]
-        pixels, inside = self._project(moved[:, :, 0], moved[:, :, 1], depth)
-        there = self._depth(matches[:, None, None], pixels)
-        off = depth - there
-        allowed = tolerance[0] + tolerance[1] * there
-        worth = np.maximum(1.0 - np.abs(off) / allowed, 0.0) - 0.5 * (off < -allowed)
-        return np.asarray(np.where(inside & (there > 0), worth, 0.0).mean(axis=-1))
+        fallen = self._views.fall(points, poses.reshape(-1, 4, 4))
+        there, _ = self._views.look(np.repeat(matches, n_poses), fallen)
+        known = there > 0
+        off = fallen.depth_m
+        off -= there
+        there *= tolerance[1]
+        there += tolerance[0]
+        off /= there
+        blocking = off < -1.0
+        worth = np.abs(off, out=off)
+        np.subtract(np.float32(1.0), worth, out=worth)
+        np.maximum(worth, np.float32(0.0), out=worth)
+        worth -= np.float32(0.5) * blocking
+        worth *= known
+        return np.asarray(worth.mean(axis=1).reshape(n, n_poses))
 
-    def _associate(self, query: int, matches: Indices, T: Floats, gate_m: float) -> _Association:
+    def _associate(
+        self, query: int, matches: Indices, T: Floats, gate_m: np.float32, n_points: int
+    ) -> _Association:
         """Pair the query's surface points with what the others see at the pixels they fall on."""
-        pixels = self._surface.rows[query]
-        R_t = T[:, :3, :3].transpose(0, 2, 1)
-        moved = self._points(query, pixels) @ R_t + T[:, None, :3, 3]
-        fallen, inside = self._project(*np.moveaxis(moved, -1, 0))
-        gap = self._points(matches[:, None], fallen) - moved
-        normals = self._normal(matches[:, None], fallen)
+        points, facing = self._views.surface(query, n_points)
+        fallen = self._views.fall(points, T)
+        gap, normals = self._views.surface_there(matches, fallen)
+        moved = _rotate(T, points)
+        moved += T[:, :3, 3:]
+        gap -= moved
         residuals_m = _dot(gap, normals)
-        matched = (
-            inside
-            & (_dot(gap, gap) < 4.0 * gate_m**2)
-            & (np.abs(residuals_m) < gate_m)
-            & (_dot(normals, self._normal(query, pixels) @ R_t) > MIN_COSINE)
-        )
+        # Where nothing is known the normal is zero, and so is the cosine.
+        matched = _dot(normals, _rotate(T, facing)) > MIN_COSINE
+        matched &= fallen.inside
+        matched &= _dot(gap, gap) < 4.0 * gate_m**2
+        matched &= np.abs(residuals_m) < gate_m
         return _Association(moved, normals, residuals_m, matched)
 
     def _shares(self, points: Floats, frames: Indices, T: Floats) -> tuple[Floats, Floats, Floats]:
         """Return the shares of points that the frames see, that block, and that can be told."""
-        moved = points @ T[:, :3, :3].transpose(0, 2, 1) + T[:, None, :3, 3]
-        pixels, inside = self._project(*np.moveaxis(moved, -1, 0))
-        there = self._depth(frames[:, None], pixels)
-        inside &= there > 0
-        off = moved[..., 2] - there
+        fallen = self._views.fall(points, T)
+        there, _ = self._views.look(frames, fallen)
+        known = there > 0
+        off = fallen.depth_m - there
         fixed, share = self.params.tolerance
-        allowed = fixed + share * moved[..., 2]
-        seen, blocking = inside & (np.abs(off) < allowed), inside & (off < -allowed)
-        return seen.mean(axis=1), blocking.mean(axis=1), inside.mean(axis=1)
+        allowed = fixed + share * fallen.depth_m
+        seen, blocking = known & (np.abs(off) < allowed), known & (off < -allowed)
+        return seen.mean(axis=1), blocking.mean(axis=1), known.mean(axis=1)
 
-    def _project(self, x: Floats, y: Floats, z: Floats) -> tuple[Indices, NDArray[np.bool_]]:
-        """Return the pixels that points fall on, and whether they are in the image at all."""
-        camera = self._camera
-        assert camera is not None
-        inverse = np.float32(1.0) / np.maximum(z, np.float32(0.05))
-        column = np.rint(x * inverse * np.float32(camera.fx) + np.float32(camera.cx))
-        row = np.rint(y * inverse * np.float32(camera.fy) + np.float32(camera.cy))
-        inside = (
-            (z > 0.05)
-            & (column >= 0)
-            & (column < camera.width)
-            & (row >= 0)
-            & (row < camera.height)
-        )
-        return np.where(inside, row * camera.width + column, 0).astype(np.intp), inside
+
+def _chunks(n: int, n_each: int) -> Iterator[slice]:
+    """Slice n pairs, of so many points each, into chunks."""
+    step = max(1, CHUNK // n_each)
+    return (slice(start, start + step) for start in range(0, n, step))
 
 
 def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
@@ -308,25 +262,48 @@ def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
     return rounds
 
 
+def _rotate(T: Floats, vectors: Floats) -> Floats:
+    """Return vectors (m, 3) turned by each of (n, 4, 4), coordinate by coordinate: (n, 3, m)."""
+    turns = np.ascontiguousarray(T[:, :3, :3]).reshape(-1, 3)
+    return np.asarray(turns @ vectors.T).reshape(len(T), 3, -1)
+
+
 def _dot(a: Floats, b: Floats) -> Floats:
-    """Return the dot products (...) of vectors (..., 3)."""
-    return np.asarray(np.einsum("...i,...i->...", a, b))
+    """Return the dot products (n, m) of vectors (n, 3, m)."""
+    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
 
 
-def _solve(turn: Floats, push: Floats, residual: Floats, weight: Floats) -> Floats:
+def _step(found: _Association, gate_m: np.float32) -> Floats:
     """Return the small motions (n, 6), rotation first, of damped weighted least squares."""
-    jacobian = np.concatenate([turn, push], axis=-1)
-    weighted = (jacobian * weight[..., None]).transpose(0, 2, 1)
-    normal_matrix = weighted @ jacobian
-    gradient = weighted @ residual[..., None]
+    points, normals, residuals_m, matched = found
+    x, y, z = points.transpose(1, 0, 2)
+    a, b, c = normals.transpose(1, 0, 2)
+    n, _, m = points.shape
+    rows = np.empty((n, 7, m), np.float32)
+    rows[:, 0] = y * c - z * b
+    rows[:, 1] = z * a - x * c
+    rows[:, 2] = x * b - y * a
+    rows[:, 3:6] = normals
+    rows[:, 6] = residuals_m
+    # Geman-McClure, and less for what is far, whose depth is less sure.
+    weight = residuals_m * (np.float32(2.0) / gate_m)
+    weight *= weight
+    weight += np.float32(1.0)
+    weight *= weight
+    weight *= np.float32(0.2) + np.float32(0.2) * z * z
+    np.divide(matched, weight, out=weight)
+    products = (rows[:, :6] * weight[:, None]) @ rows.transpose(0, 2, 1)
+    normal_matrix, gradient = products[..., :6], products[..., 6:]
     # What the surfaces leave open stays as it is.
     damping = 1e-3 + 0.0005 * np.trace(normal_matrix, axis1=1, axis2=2)
-    normal_matrix += damping[:, None, None] * np.eye(6, dtype=np.float32)
+    normal_matrix = normal_matrix + damping[:, None, None] * np.eye(6, dtype=np.float32)
     return np.linalg.solve(normal_matrix, gradient)[..., 0]
 
 
 def _exp(tangent: Floats) -> Floats:
     """Return small motions as (n, 4, 4): their rotation exactly, the translation as it is."""
-    T = se3.exp(np.pad(tangent[:, :3], ((0, 0), (0, 3))))
+    T = np.zeros((len(tangent), 4, 4), np.float32)
+    T[:, :3, :3] = Rotation.from_rotvec(tangent[:, :3]).as_matrix()
     T[:, :3, 3] = tangent[:, 3:]
-    return T.astype(np.float32)
+    T[:, 3, 3] = 1.0
+    return T

@@ -7,6 +7,7 @@ declares them as a nested ``Params`` (a ``slam_bof.types.Params``) and is built 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, Self, runtime_checkable
 
@@ -107,9 +108,14 @@ class Verifier(Protocol):
         """Make of a depth image, or of its points (N, 3), what ``verify`` needs of a keyframe."""
 
     def verify(
-        self, query: Any, match: Any, *, T_match_query: Pose | None = None, seed: int = 0
-    ) -> Verification:
-        """Align the query's cloud with the match's, from the guess or, without one, globally."""
+        self,
+        query: Any,
+        matches: Sequence[Any],
+        *,
+        T_match_query: Array | None = None,
+        seed: int = 0,
+    ) -> list[Verification]:
+        """Align the query with each match, from guesses (n, 4, 4) or, without any, globally."""
 
 
 @runtime_checkable

@@ -30,7 +30,7 @@ class RecogniserParams(Params):
     """How many views each step looks at, and how alignments are ranked."""
 
     n_plans: int = Field(100, gt=0, description="views whose plans are compared")
-    n_aligned: int = Field(40, ge=0, description="views that are aligned; half may be followed")
+    n_aligned: int = Field(20, ge=0, description="views that are aligned; half may be followed")
     n_followed: int = Field(5, ge=0, description="matches of the view before that are followed")
     n_neighbours: int = Field(2, ge=0, description="views before and after such a match")
     plan_weight: float = Field(0.5, ge=0, description="of plans, the panorama's being 1")

@@ -82,11 +82,13 @@ class LoopVerification:
         judged: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
+        still_open = [c for c in candidates if c.decision != "rejected"]
+        aligned = iter(self._align(still_open, T_map_camera, guesses))
         for candidate in candidates:
             if candidate.decision == "rejected":
                 judged.append(candidate)
                 continue
-            verified = self._align(candidate, T_map_camera, guesses.get(candidate.match_id))
+            verified = next(aligned)
             if candidate.source == "proximity" and verified.overlap < self.params.min_overlap:
                 # Too little to claim a loop, but two views of the same surfaces all the same.
                 candidate = replace(candidate, kind="covisibility")
@@ -118,20 +120,31 @@ class LoopVerification:
         return _hold(judged, admitted), edges + admitted
 
     def _align(
-        self, candidate: Candidate, T_map_camera: Array, T_match_query: Pose | None
-    ) -> Verification:
+        self, candidates: Sequence[Candidate], T_map_camera: Array, guesses: Mapping[int, Pose]
+    ) -> list[Verification]:
         """Align from the guess or else from where the map has the two; like bags, from nothing.
 
         Where the map is good already, the global search, ten times the cost, is spared.
         """
-        query_id, match_id = candidate.query_id, candidate.match_id
-        pair = self._prepared[query_id], self._prepared[match_id]
-        if T_match_query is None:
-            T_match_query = se3.inverse(T_map_camera[match_id]) @ T_map_camera[query_id]
-        verified = self._verifier.verify(*pair, T_match_query=T_match_query)
-        if verified.accepted or candidate.source != "bag":
-            return verified
-        return self._verifier.verify(*pair, seed=self._seed)
+        if not candidates:
+            return []
+        query_id = candidates[0].query_id
+        match_ids = [candidate.match_id for candidate in candidates]
+        T_match_query = se3.inverse(T_map_camera[match_ids]) @ T_map_camera[query_id]
+        for k, match_id in enumerate(match_ids):
+            T_match_query[k] = guesses.get(match_id, T_match_query[k])
+        query = self._prepared[query_id]
+        matches = [self._prepared[match_id] for match_id in match_ids]
+        verified = self._verifier.verify(query, matches, T_match_query=T_match_query)
+        again = [
+            k
+            for k, candidate in enumerate(candidates)
+            if candidate.source == "bag" and not verified[k].accepted
+        ]
+        found = self._verifier.verify(query, [matches[k] for k in again], seed=self._seed)
+        for k, verification in zip(again, found, strict=True):
+            verified[k] = verification
+        return verified
 
     def _object(
         self,

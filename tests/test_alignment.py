@@ -73,7 +73,7 @@ def test_pairs_do_not_depend_on_their_company(pair):
 def test_a_view_of_nothing_aligns_with_nothing(pair):
     _, T_match_query = pair
     aligner = ViewAligner(AlignmentParams())
-    camera = pair[0]._camera
+    camera = pair[0]._views._camera
     empty = np.zeros((camera.height, camera.width), np.float32)
     for _ in range(2):
         aligner.add(View(empty, np.zeros((*empty.shape, 3), np.float32), camera))
@@ -95,3 +95,19 @@ def test_another_camera_is_refused(pair):
     view, _ = make_view(DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), camera))
     with pytest.raises(ValueError, match=r"views must be of Intrinsics.*, got Intrinsics.*65\.0"):
         pair[0].add(view)
+
+
+def test_few_points_first_lead_to_where_all_do(look, standpoint, pair):
+    _, T_match_query = pair
+    match = upright(*standpoint, 1.3, 0.8)
+    views = [make_view(look(T, k))[0] for k, T in enumerate((match, match @ T_match_query))]
+    start = T_match_query @ se3.exp(np.array([0.03, -0.04, 0.02, 0.06, 0.03, -0.05]))
+    found = []
+    for n_fine in (4, 12):
+        params = {"n_points": 2000, "n_coarse_points": 300, "gates_m": (0.3, 0.03)}
+        aligner = ViewAligner(AlignmentParams(n_fine_iterations=n_fine, **params))
+        for view in views:
+            aligner.add(view)
+        found.append(aligner.refine(1, ONE, start[None])[0])
+        assert error(found[-1], T_match_query)[0] < 0.02
+    assert error(*found)[0] < 0.005

@@ -14,9 +14,9 @@ ROOT = Path(__file__).resolve().parent.parent
 
 # A module imports only from rows above its own. This is the one place that says so.
 _ROWS = """
-    errors types validation native scratch stack se3 timing trajectory ports
+    errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
-    gravity views spectra panorama slices alignment recogniser tracking
+    gravity views viewstack spectra panorama slices alignment recogniser tracking
     scenes keyframes loops covisibility parts consistency verification model
     schema rows store queries
     registry config slam mapping
@@ -39,6 +39,7 @@ OPEN_TO_PLUGINS = set(
         "places",
         "views",
         "alignment",
+        "judgement",
     ]
 )
 

@@ -27,7 +27,10 @@ class CentroidVerifier:
     def prepare(self, frame, points_camera):
         return points_camera.mean(axis=0)
 
-    def verify(self, query, match, *, T_match_query=None, seed=0):
+    def verify(self, query, matches, *, T_match_query=None, seed=0):
+        return [self.verify_one(query, match) for match in matches]
+
+    def verify_one(self, query, match):
         T = se3.exp(np.array([0.0, self.turn_rad, 0.0, 0.0, 0.0, 0.0]))
         T[:3, 3] = match - query
         accepted = self.overlap > 0.5

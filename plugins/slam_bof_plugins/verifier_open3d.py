@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from slam_bof import se3
+from slam_bof.judgement import JudgementParams, judge, reject
 from slam_bof.native import import_open3d
-from slam_bof.types import Array, DepthFrame, Params, Pose, Verification
+from slam_bof.types import Array, DepthFrame, Pose, Verification
 
 o3d = import_open3d()
 registration = o3d.pipelines.registration
@@ -26,7 +28,7 @@ class PreparedCloud:
     features: Any = None
 
 
-class Open3dParams(Params):
+class Open3dParams(JudgementParams):
     """Distances are for indoor depth cameras, whose noise is centimetres at metres."""
 
     voxel_size_m: float = Field(0.06, gt=0)
@@ -35,13 +37,7 @@ class Open3dParams(Params):
     max_iterations: int = Field(20, gt=0)
     feature_radius_m: float = Field(0.4, gt=0)
     ransac_iterations: int = Field(20000, gt=0)
-    min_overlap: float = Field(0.35, ge=0, le=1)
-    min_overlap_global: float = Field(0.6, ge=0, le=1, description="where no guess was given")
     inlier_distance_m: float = Field(0.06, gt=0, description="of what counts as overlap")
-    max_rmse_m: float = Field(0.05, gt=0)
-    min_stiffness: float = Field(
-        0.002, ge=0, description="least eigenvalue of the information per point"
-    )
 
 
 class Open3dVerifier:
@@ -67,28 +63,55 @@ class Open3dVerifier:
     def verify(
         self,
         query: PreparedCloud,
-        match: PreparedCloud,
+        matches: Sequence[PreparedCloud],
         *,
-        T_match_query: Pose | None = None,
+        T_match_query: Array | None = None,
         seed: int = 0,
+    ) -> list[Verification]:
+        """Align ``query`` with each match from its guess or, without any, by seeded RANSAC."""
+        if T_match_query is None:
+            return [self._verify(query, match, None, seed) for match in matches]
+        pairs = zip(matches, T_match_query, strict=True)
+        return [self._verify(query, match, guess, seed) for match, guess in pairs]
+
+    def _verify(
+        self, query: PreparedCloud, match: PreparedCloud, guess: Pose | None, seed: int
     ) -> Verification:
-        """Align ``query`` with ``match`` from the guess or, without one, by seeded RANSAC."""
         p = self.params
         if len(query.cloud.points) < 3 or len(match.cloud.points) < 3:
-            return _rejected("too few points")
-        min_overlap = p.min_overlap if T_match_query is not None else p.min_overlap_global
-        guess = self._search(query, match, seed) if T_match_query is None else T_match_query
+            return reject("too few points", np.eye(4))
+        guessed = guess is not None
+        T = self._search(query, match, seed) if guess is None else guess
         for max_distance_m in (p.max_distance_m, p.inlier_distance_m):
             result = registration.registration_icp(
                 query.cloud,
                 match.cloud,
                 max_distance_m,
-                guess,
+                T,
                 registration.TransformationEstimationPointToPlane(),
                 registration.ICPConvergenceCriteria(1e-4, 1e-4, p.max_iterations),
             )
-            guess = result.transformation
-        return self._judge(query, match, result, min_overlap)
+            T = np.array(result.transformation)
+        T_match_query = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        pairs = np.asarray(result.correspondence_set)
+        if len(pairs) == 0:
+            return reject("no correspondences", np.eye(4))
+        points_query = np.asarray(query.cloud.points)
+        points = points_query[pairs[:, 0]]
+        surface, normals = (
+            np.asarray(of_match)[pairs[:, 1]]
+            for of_match in (match.cloud.points, match.cloud.normals)
+        )
+        offset = se3.transform(T_match_query, points) - surface
+        return judge(
+            p,
+            T_match_query,
+            points,
+            normals @ T_match_query[:3, :3],
+            np.einsum("ij,ij->i", offset, normals),
+            overlap=len(pairs) / len(points_query),
+            guessed=guessed,
+        )
 
     def _search(self, query: PreparedCloud, match: PreparedCloud, seed: int) -> Pose:
         """Return a coarse T_match_query by RANSAC over FPFH correspondences."""
@@ -116,37 +139,3 @@ class Open3dVerifier:
             registration.RANSACConvergenceCriteria(p.ransac_iterations, 0.999),
         )
         return np.asarray(result.transformation)
-
-    def _judge(
-        self, query: PreparedCloud, match: PreparedCloud, result: Any, min_overlap: float
-    ) -> Verification:
-        p = self.params
-        T = np.array(result.transformation)
-        T_match_query = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
-        pairs = np.asarray(result.correspondence_set)
-        points_query = np.asarray(query.cloud.points)
-        if len(pairs) == 0:
-            return _rejected("no correspondences")
-        source, target = pairs[:, 0], pairs[:, 1]
-        p_query = points_query[source]
-        n_query = np.asarray(match.cloud.normals)[target] @ T_match_query[:3, :3]
-        offset = se3.transform(T_match_query, p_query) - np.asarray(match.cloud.points)[target]
-        residual = np.einsum("ij,ij->i", offset, np.asarray(match.cloud.normals)[target])
-        overlap = len(pairs) / len(points_query)
-        rmse_m = float(np.sqrt(np.mean(residual**2)))
-        jacobian = np.hstack([np.cross(p_query, n_query), n_query])
-        information = jacobian.T @ jacobian
-        stiffness = float(np.linalg.eigvalsh(information)[0]) / len(pairs)
-        if overlap < min_overlap:
-            reason = f"overlap {overlap:.2f} below {min_overlap:g}"
-        elif rmse_m > p.max_rmse_m:
-            reason = f"residual {rmse_m:.3f} m above {p.max_rmse_m:g} m"
-        elif stiffness < p.min_stiffness:
-            reason = f"degenerate: stiffness {stiffness:.4f} below {p.min_stiffness:g}"
-        else:
-            return Verification(True, "", T_match_query, overlap, rmse_m, information)
-        return Verification(False, reason, T_match_query, overlap, rmse_m, information)
-
-
-def _rejected(reason: str) -> Verification:
-    return Verification(False, reason, np.eye(4), 0.0, float("inf"), np.zeros((6, 6)))

@@ -35,6 +35,12 @@ def prepare(verifier, points):
     return verifier.prepare(FRAME, points)
 
 
+def verify(verifier, query, match, guess=None, seed=0):
+    guesses = None if guess is None else guess[None]
+    (verified,) = verifier.verify(query, [match], T_match_query=guesses, seed=seed)
+    return verified
+
+
 def assert_golden(verified, T_match_query):
     error = se3.inverse(T_match_query) @ verified.T_match_query
     assert verified.accepted, verified.reason
@@ -50,23 +56,21 @@ def test_it_is_a_verifier(verifier):
 def test_it_recovers_the_golden_pose_from_a_guess(verifier, golden):
     query, match, _, T_match_query = golden
     guess = T_match_query @ se3.exp(np.array([0.02, -0.03, 0.02, 0.05, 0.03, -0.05]))
-    verified = verifier.verify(
-        prepare(verifier, query), prepare(verifier, match), T_match_query=guess
-    )
+    verified = verify(verifier, prepare(verifier, query), prepare(verifier, match), guess)
     assert_golden(verified, T_match_query)
 
 
 def test_it_recovers_the_golden_pose_from_nothing_whatever_the_seed(verifier, golden):
     query, match, _, T_match_query = golden
     for seed in (0, 1):
-        verified = verifier.verify(prepare(verifier, query), prepare(verifier, match), seed=seed)
+        verified = verify(verifier, prepare(verifier, query), prepare(verifier, match), seed=seed)
         assert_golden(verified, T_match_query)
 
 
 def test_same_input_and_seed_same_bytes(verifier, golden):
     query, match, *_ = golden
     first, second = (
-        verifier.verify(prepare(verifier, query), prepare(verifier, match), seed=3)
+        verify(verifier, prepare(verifier, query), prepare(verifier, match), seed=3)
         for _ in range(2)
     )
     assert first.T_match_query.tobytes() == second.T_match_query.tobytes()
@@ -75,7 +79,7 @@ def test_same_input_and_seed_same_bytes(verifier, golden):
 
 def test_views_of_different_things_are_rejected_in_words(verifier, golden):
     query, _, behind, _ = golden
-    verified = verifier.verify(prepare(verifier, query), prepare(verifier, behind))
+    verified = verify(verifier, prepare(verifier, query), prepare(verifier, behind))
     assert not verified.accepted
     assert "overlap" in verified.reason
 
@@ -91,7 +95,7 @@ def wall():
 def test_a_bare_wall_is_no_loop(verifier, wall):
     """It fits itself wherever one slides along it."""
     prepared = prepare(verifier, wall)
-    verified = verifier.verify(prepared, prepared, T_match_query=np.eye(4))
+    verified = verify(verifier, prepared, prepared, np.eye(4))
     assert not verified.accepted
     assert "degenerate" in verified.reason
 
@@ -102,8 +106,8 @@ def test_information_is_in_the_query_s_axes_rotation_first(verifier, wall):
         np.array([0.3, 0.0, 0.0, 0.0, 0.0, 0.0])
     )
     query = se3.transform(se3.inverse(T_match_query), wall)
-    information = verifier.verify(
-        prepare(verifier, query), prepare(verifier, wall), T_match_query=T_match_query
+    information = verify(
+        verifier, prepare(verifier, query), prepare(verifier, wall), T_match_query
     ).information
     turned = T_match_query[:3, :3].T
     in_wall_axes = [
@@ -118,5 +122,20 @@ def test_information_is_in_the_query_s_axes_rotation_first(verifier, wall):
 @pytest.mark.parametrize("n_points", [0, 2])
 def test_too_few_points_are_an_answer(verifier, golden, n_points):
     few = prepare(verifier, np.ones((n_points, 3)))
-    verified = verifier.verify(few, prepare(verifier, golden[1]))
+    verified = verify(verifier, few, prepare(verifier, golden[1]))
     assert (verified.accepted, verified.reason) == (False, "too few points")
+
+
+def test_many_matches_are_verified_in_their_order(verifier, golden):
+    query, match, behind, T_match_query = golden
+    prepared = [prepare(verifier, points) for points in (query, match, behind)]
+    query, *matches = prepared
+    guesses = np.stack([T_match_query, se3.pose(np.eye(3), [0.0, 0.0, 20.0])])
+    together = verifier.verify(query, matches, T_match_query=guesses)
+    assert [v.accepted for v in together] == [True, False]
+    for verified, match, guess in zip(together, matches, guesses, strict=True):
+        alone = verify(verifier, query, match, guess)
+        np.testing.assert_allclose(verified.T_match_query, alone.T_match_query, atol=1e-4)
+        assert verified.overlap == pytest.approx(alone.overlap, abs=2e-3)
+    assert verifier.verify(query, []) == []
+    assert verifier.verify(query, [], T_match_query=np.empty((0, 4, 4))) == []

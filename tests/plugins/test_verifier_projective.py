@@ -26,6 +26,12 @@ def prepare(verifier, *frames):
     return [verifier.prepare(frame, points_camera(frame, points)) for frame in frames]
 
 
+def verify(verifier, query, match, guess=None, seed=0):
+    guesses = None if guess is None else guess[None]
+    (verified,) = verifier.verify(query, [match], T_match_query=guesses, seed=seed)
+    return verified
+
+
 def assert_golden(verified, T_match_query):
     error = se3.inverse(T_match_query) @ verified.T_match_query
     assert verified.accepted, verified.reason
@@ -40,7 +46,7 @@ def test_it_recovers_the_golden_pose_from_a_guess(golden):
     verifier = ProjectiveVerifier()
     assert isinstance(verifier, Verifier)
     guess = T_match_query @ se3.exp(np.array([0.04, -0.06, 0.03, 0.1, 0.05, -0.08]))
-    verified = verifier.verify(*prepare(verifier, query, match), T_match_query=guess)
+    verified = verify(verifier, *prepare(verifier, query, match), guess)
     assert_golden(verified, T_match_query)
     assert verified.reason == ""
 
@@ -48,12 +54,12 @@ def test_it_recovers_the_golden_pose_from_a_guess(golden):
 def test_it_recovers_the_golden_pose_from_nothing(golden):
     query, match, _, T_match_query = golden
     verifier = ProjectiveVerifier()
-    assert_golden(verifier.verify(*prepare(verifier, query, match)), T_match_query)
+    assert_golden(verify(verifier, *prepare(verifier, query, match)), T_match_query)
 
 
 def test_same_input_same_bytes(golden):
     first, second = (
-        v.verify(*prepare(v, *golden[:2])) for v in [ProjectiveVerifier() for _ in "ab"]
+        verify(v, *prepare(v, *golden[:2])) for v in [ProjectiveVerifier() for _ in "ab"]
     )
     assert first.T_match_query.tobytes() == second.T_match_query.tobytes()
     assert first.information.tobytes() == second.information.tobytes()
@@ -62,7 +68,7 @@ def test_same_input_same_bytes(golden):
 def test_views_of_different_things_are_rejected_in_words(golden):
     query, _, behind, _ = golden
     verifier = ProjectiveVerifier()
-    verified = verifier.verify(*prepare(verifier, query, behind))
+    verified = verify(verifier, *prepare(verifier, query, behind))
     assert not verified.accepted
     assert "overlap" in verified.reason or "before what the other sees" in verified.reason
 
@@ -74,14 +80,14 @@ def test_what_blocks_the_view_is_no_loop():
     blocked[:, :70] = 2.0
     verifier = ProjectiveVerifier(ProjectiveParams(min_stiffness=0.0))
     match, query = (DepthFrame(0.0, depth, CAMERA) for depth in (wall, blocked))
-    verified = verifier.verify(*prepare(verifier, query, match), T_match_query=np.eye(4))
+    verified = verify(verifier, *prepare(verifier, query, match), np.eye(4))
     assert verified.reason == "0.44 of the points stand before what the other sees"
 
 
 def test_a_bare_wall_is_degenerate():
     wall = DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), CAMERA)
     verifier = ProjectiveVerifier()
-    verified = verifier.verify(*prepare(verifier, wall, wall), T_match_query=np.eye(4))
+    verified = verify(verifier, *prepare(verifier, wall, wall), np.eye(4))
     assert not verified.accepted
     assert verified.reason.startswith("degenerate: stiffness 0.0000 below")
     assert np.linalg.matrix_rank(verified.information, tol=1e-3) == 3
@@ -92,7 +98,7 @@ def test_information_is_that_of_the_query_s_frame():
     wall = DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), CAMERA)
     verifier = ProjectiveVerifier()
     turned = se3.exp(np.array([0.0, 0.0, 0.3, 0.0, 0.0, 0.0]))  # about the view: the wall stays
-    information = verifier.verify(*prepare(verifier, wall, wall), T_match_query=turned).information
+    information = verify(verifier, *prepare(verifier, wall, wall), turned).information
     known = information[5, 5]  # towards the wall
     assert known > 1.0
     np.testing.assert_allclose(information[2:5, 2:5] / known, 0.0, atol=1e-3)
@@ -102,7 +108,23 @@ def test_information_is_that_of_the_query_s_frame():
 def test_blind_frames_are_rejected(golden):
     blind = DepthFrame(0.0, np.zeros_like(golden[0].depth), golden[0].intrinsics)
     verifier = ProjectiveVerifier()
-    verified = verifier.verify(*prepare(verifier, blind, golden[1]), T_match_query=np.eye(4))
+    verified = verify(verifier, *prepare(verifier, blind, golden[1]), np.eye(4))
     assert not verified.accepted
-    assert verified.reason == "no surface in common"
+    assert verified.reason == "no correspondences"
     assert np.isfinite(verified.T_match_query).all()
+
+
+def test_many_matches_are_verified_in_their_order(golden):
+    *_, T_match_query = golden
+    verifier = ProjectiveVerifier()
+    prepared = prepare(verifier, *golden[:3])
+    query, *matches = prepared
+    guesses = np.stack([T_match_query, se3.pose(np.eye(3), [0.0, 0.0, 20.0])])
+    together = verifier.verify(query, matches, T_match_query=guesses)
+    assert [v.accepted for v in together] == [True, False]
+    for verified, match, guess in zip(together, matches, guesses, strict=True):
+        alone = verify(verifier, query, match, guess)
+        np.testing.assert_allclose(verified.T_match_query, alone.T_match_query, atol=1e-4)
+        assert verified.overlap == pytest.approx(alone.overlap, abs=2e-3)
+    assert verifier.verify(query, []) == []
+    assert verifier.verify(query, [], T_match_query=np.empty((0, 4, 4))) == []
