@@ -19,6 +19,7 @@ from slam_bof import se3
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,
+    ROOT_SIGMA,
     Edge,
     SelectionParams,
     optimized,
@@ -64,7 +65,7 @@ class GtsamBackend:
         self._stamps_s: list[float] = []
         self._segments: list[int] = []
         self._has_new_loop = False
-        self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
+        self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
             np.repeat([p.odometry_sigma_rad, p.odometry_sigma_m], 3)
         )
@@ -92,10 +93,18 @@ class GtsamBackend:
         self._segments.append(keyframe.segment)
 
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
-        """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there."""
+        """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there.
+
+        What steps without odometry were taken to be becomes what they are now, so that they pull
+        at nothing.
+        """
         motion = pose3(T)
         for key in keyframe_ids.tolist():
             self._estimate.update(key, motion.compose(self._estimate.atPose3(key)))
+        for key in np.flatnonzero(np.diff(self._segments)) + 1:
+            step = self._estimate.atPose3(key - 1).between(self._estimate.atPose3(key))
+            factor = gtsam.BetweenFactorPose3(key - 1, key, step, self._lost_noise)
+            self._odometry.replace(key, factor)
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
         self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
         for loop in self._loops:

@@ -22,9 +22,11 @@ from slam_bof.types import Array, Params, Pose
 
 __all__ = ["LOST_SIGMA", "Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]
 
-ROOT_SIGMA = 1e-6
-LOST_SIGMA = 10.0
-"""Of a step over which odometry was lost, in rad and in m."""
+ROOT_SIGMA = 1e-3
+"""Of the first node, in rad and in m; nothing pulls at it."""
+LOST_SIGMA = 1.0
+"""Of a step over which odometry was lost. Far less certain, and the linear systems become
+ill-posed; this too is nothing beside a loop."""
 
 
 class SelectionParams(Params):
