@@ -7,16 +7,13 @@ consistency of Mangelson et al., ICRA 2018, with fixed tolerances).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.types import Array, Loop, Params, Pose
 
-__all__ = ["ConsistencyGate", "ConsistencyParams", "circuit_error"]
+__all__ = ["ConsistencyGate", "ConsistencyParams", "agree", "circuit_error"]
 
 
 class ConsistencyParams(Params):
@@ -26,7 +23,6 @@ class ConsistencyParams(Params):
     window: int = Field(8, gt=0, description="keyframes back that may still bear witness")
     max_distance_m: float = Field(0.1, gt=0)
     max_angle_rad: float = Field(0.06, gt=0)
-    n_required_to_join: int = Field(3, ge=0, description="for a loop that joins parts of the map")
 
 
 class ConsistencyGate:
@@ -36,56 +32,44 @@ class ConsistencyGate:
         self.params = params
         self._recent: list[Loop] = []
         self._witnesses: dict[tuple[int, int], set[int]] = {}
-        self._admitted: set[tuple[int, int]] = set()
 
-    def admit(
-        self, loops: list[Loop], T_map_camera: Array, parts: NDArray[np.integer[Any]]
-    ) -> list[Loop]:
+    def admit(self, loops: list[Loop], T_map_camera: Array) -> list[Loop]:
         """Take the verified loops of one keyframe; return those admitted now, old ones too.
 
-        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far, ``parts`` (K,)
-        which part of it they are in. Loops that could join two parts wait without limit.
+        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far.
         """
         p = self.params
         if p.n_required == 0:
             return loops
         admitted = []
         newest = len(T_map_camera) - 1
-        self._recent = [
-            loop
-            for loop in self._recent
-            if newest - loop.query_id <= p.window or parts[loop.query_id] != parts[loop.match_id]
-        ]
+        self._recent = [loop for loop in self._recent if newest - loop.query_id <= p.window]
         for loop in loops:
             for other in self._recent:
-                if (
-                    parts[loop.query_id] == parts[other.query_id]
-                    and parts[loop.match_id] == parts[other.match_id]
-                    and self._agree(loop, other, T_map_camera)
-                ):
-                    joins = parts[loop.query_id] != parts[loop.match_id]
-                    required = p.n_required_to_join if joins else p.n_required
-                    admitted += self._testify(other, loop.query_id, required)
-                    admitted += self._testify(loop, other.query_id, required)
+                if agree(loop, other, T_map_camera, p.max_distance_m, p.max_angle_rad):
+                    admitted += self._testify(other, loop.query_id)
+                    admitted += self._testify(loop, other.query_id)
         self._recent += loops
         return admitted
 
-    def _testify(self, loop: Loop, witness_id: int, required: int) -> list[Loop]:
+    def _testify(self, loop: Loop, witness_id: int) -> list[Loop]:
         """Note a witness; return the loop if that makes it enough."""
-        pair = loop.query_id, loop.match_id
-        witnesses = self._witnesses.setdefault(pair, set())
+        witnesses = self._witnesses.setdefault((loop.query_id, loop.match_id), set())
+        before = len(witnesses)
         witnesses.add(witness_id)
-        if pair in self._admitted or len(witnesses) < required:
-            return []
-        self._admitted.add(pair)
-        return [loop]
+        required = self.params.n_required
+        return [loop] if before < required <= len(witnesses) else []
 
-    def _agree(self, a: Loop, b: Loop, T_map_camera: Array) -> bool:
-        error = circuit_error(a, b, T_map_camera)
-        return (
-            float(np.linalg.norm(error[:3, 3])) <= self.params.max_distance_m
-            and float(se3.rotation_angle(error)) <= self.params.max_angle_rad
-        )
+
+def agree(
+    a: Loop, b: Loop, T_map_camera: Array, max_distance_m: float, max_angle_rad: float
+) -> bool:
+    """Tell whether going round two loops ends where it began, to within the given."""
+    error = circuit_error(a, b, T_map_camera)
+    return (
+        float(np.linalg.norm(error[:3, 3])) <= max_distance_m
+        and float(se3.rotation_angle(error)) <= max_angle_rad
+    )
 
 
 def circuit_error(a: Loop, b: Loop, T_map_camera: Array) -> Pose:

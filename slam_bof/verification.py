@@ -13,6 +13,7 @@ from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.consistency import ConsistencyGate, ConsistencyParams
+from slam_bof.joining import JoinGate, JoinParams
 from slam_bof.ports import Verifier
 from slam_bof.types import Array, Candidate, DepthFrame, Loop, Params, Pose, Verification
 
@@ -35,6 +36,7 @@ class VerificationParams(Params):
     drift_m_per_m: float = Field(0.1, ge=0, description="drift that odometry may have")
     drift_rad_per_m: float = Field(0.05, ge=0, description="and its turn")
     consistency: ConsistencyParams = ConsistencyParams()
+    joining: JoinParams = JoinParams()
 
 
 class LoopVerification:
@@ -44,6 +46,7 @@ class LoopVerification:
         self.params = params
         self._verifier = verifier
         self._gate = ConsistencyGate(params.consistency)
+        self._join_gate = JoinGate(params.joining, self._verify_from)
         self._seed = seed
         self._prepared: list[Any] = []
 
@@ -116,7 +119,10 @@ class LoopVerification:
                     reason=reason,
                 )
             )
-        admitted = self._gate.admit(loops, T_map_camera, parts)
+        within = [loop for loop in loops if parts[loop.query_id] == parts[loop.match_id]]
+        between = [loop for loop in loops if parts[loop.query_id] != parts[loop.match_id]]
+        admitted = self._gate.admit(within, T_map_camera)
+        admitted += self._join_gate.admit(between, T_map_camera, parts)
         return _hold(judged, admitted), edges + admitted
 
     def _align(
@@ -133,18 +139,25 @@ class LoopVerification:
         T_match_query = se3.inverse(T_map_camera[match_ids]) @ T_map_camera[query_id]
         for k, match_id in enumerate(match_ids):
             T_match_query[k] = guesses.get(match_id, T_match_query[k])
-        query = self._prepared[query_id]
-        matches = [self._prepared[match_id] for match_id in match_ids]
-        verified = self._verifier.verify(query, matches, T_match_query=T_match_query)
+        verified = self._verify_from(query_id, match_ids, T_match_query)
         again = [
             k
             for k, candidate in enumerate(candidates)
             if candidate.source == "bag" and not verified[k].accepted
         ]
-        found = self._verifier.verify(query, [matches[k] for k in again], seed=self._seed)
+        query = self._prepared[query_id]
+        matches = [self._prepared[match_ids[k]] for k in again]
+        found = self._verifier.verify(query, matches, seed=self._seed)
         for k, verification in zip(again, found, strict=True):
             verified[k] = verification
         return verified
+
+    def _verify_from(
+        self, query_id: int, match_ids: list[int], T_match_query: Array
+    ) -> list[Verification]:
+        query = self._prepared[query_id]
+        matches = [self._prepared[match_id] for match_id in match_ids]
+        return self._verifier.verify(query, matches, T_match_query=T_match_query)
 
     def _object(
         self,

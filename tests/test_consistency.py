@@ -20,10 +20,6 @@ def loop(query_id, match_id, wrong=None):
     return Loop(query_id, match_id, T if wrong is None else T @ wrong, np.eye(6), "loop", "bag")
 
 
-def admit(gate, loops, T_map_camera, parts=None):
-    return gate.admit(loops, T_map_camera, np.zeros(20, int) if parts is None else parts)
-
-
 def pairs(loops):
     return [(found.query_id, found.match_id) for found in loops]
 
@@ -35,14 +31,14 @@ def test_true_loops_close_the_circuit_whatever_the_drift(there_and_again):
 
 def test_a_loop_waits_for_a_second_one_that_agrees(there_and_again):
     gate = ConsistencyGate(ConsistencyParams())
-    assert admit(gate, [loop(11, 1)], there_and_again[:12]) == []
-    assert pairs(admit(gate, [loop(12, 3)], there_and_again[:13])) == [(11, 1), (12, 3)]
-    assert pairs(admit(gate, [loop(13, 3)], there_and_again[:14])) == [(13, 3)]
+    assert gate.admit([loop(11, 1)], there_and_again[:12]) == []
+    assert pairs(gate.admit([loop(12, 3)], there_and_again[:13])) == [(11, 1), (12, 3)]
+    assert pairs(gate.admit([loop(13, 3)], there_and_again[:14])) == [(13, 3)]
 
 
 def test_loops_of_the_same_keyframe_are_no_witnesses(there_and_again):
     gate = ConsistencyGate(ConsistencyParams())
-    assert admit(gate, [loop(11, 1), loop(11, 2)], there_and_again[:12]) == []
+    assert gate.admit([loop(11, 1), loop(11, 2)], there_and_again[:12]) == []
 
 
 @pytest.mark.parametrize(
@@ -58,43 +54,21 @@ def test_a_wrong_loop_is_never_admitted_and_harms_no_true_one(there_and_again, w
     admitted = []
     for i in range(1, 6):
         loops = [loop(10 + i, i)] + ([loop(13, 6, wrong)] if i == 3 else [])
-        admitted += admit(gate, loops, there_and_again[: 11 + i])
+        admitted += gate.admit(loops, there_and_again[: 11 + i])
     assert sorted(pairs(admitted)) == [(10 + i, i) for i in range(1, 6)]
 
 
 def test_old_witnesses_do_not_count(there_and_again):
     gate = ConsistencyGate(ConsistencyParams(window=3))
-    admit(gate, [loop(11, 1)], there_and_again[:12])
-    assert admit(gate, [loop(15, 5)], there_and_again[:16]) == []
+    gate.admit([loop(11, 1)], there_and_again[:12])
+    assert gate.admit([loop(15, 5)], there_and_again[:16]) == []
 
 
 def test_more_witnesses_can_be_required_and_none_turns_it_off(there_and_again):
     strict = ConsistencyGate(ConsistencyParams(n_required=2))
-    assert admit(strict, [loop(11, 1)], there_and_again[:12]) == []
-    assert admit(strict, [loop(12, 2)], there_and_again[:13]) == []
-    third = admit(strict, [loop(13, 3)], there_and_again[:14])
+    assert strict.admit([loop(11, 1)], there_and_again[:12]) == []
+    assert strict.admit([loop(12, 2)], there_and_again[:13]) == []
+    third = strict.admit([loop(13, 3)], there_and_again[:14])
     assert sorted(pairs(third)) == [(11, 1), (12, 2), (13, 3)]
     off = ConsistencyGate(ConsistencyParams(n_required=0))
-    assert pairs(admit(off, [loop(11, 1)], there_and_again[:12])) == [(11, 1)]
-
-
-@pytest.fixture
-def two_parts():
-    return np.repeat([0, 1], 10)
-
-
-def test_a_join_needs_more_witnesses_and_waits_for_them(there_and_again, two_parts):
-    gate = ConsistencyGate(ConsistencyParams(window=1, n_required_to_join=3))
-    for i in (1, 4, 6):
-        assert admit(gate, [loop(10 + i, i)], there_and_again[: 11 + i], two_parts) == []
-    joined = admit(gate, [loop(19, 9)], there_and_again, two_parts)
-    assert sorted(pairs(joined)) == [(11, 1), (14, 4), (16, 6), (19, 9)]
-
-
-def test_a_part_bears_no_witness_for_another(there_and_again):
-    """However well their poses seem to fit, nothing is known of how they lie."""
-    three_parts = np.repeat([0, 1, 2], [10, 5, 5])
-    gate = ConsistencyGate(ConsistencyParams(n_required_to_join=1))
-    assert admit(gate, [loop(11, 1)], there_and_again, three_parts) == []
-    assert admit(gate, [loop(15, 5)], there_and_again, three_parts) == []
-    assert len(admit(gate, [loop(16, 6)], there_and_again, three_parts)) == 2
+    assert pairs(off.admit([loop(11, 1)], there_and_again[:12])) == [(11, 1)]

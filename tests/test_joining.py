@@ -1,0 +1,98 @@
+"""What it takes to join two parts of a map."""
+
+import numpy as np
+import pytest
+
+from slam_bof import se3
+from slam_bof.joining import JoinGate, JoinParams
+from slam_bof.types import Loop, Verification
+
+N = 12
+PARTS = np.repeat([0, 1], N)
+
+
+def turned(yaw, x=0.0):
+    return se3.exp(np.array([0.0, yaw, 0.0, 0.0, 0.0, 0.0])) @ se3.pose(np.eye(3), [x, 0.0, 0.0])
+
+
+@pytest.fixture
+def looked_about():
+    """Twelve views over 110 degrees, and the same again in a frame of their own."""
+    truth = np.array([turned(np.radians(10.0 * i), 0.02 * i) for i in range(N)])
+    return np.concatenate([truth, turned(1.0, 7.0) @ truth])
+
+
+@pytest.fixture
+def walked_down():
+    """Twelve views along a straight hall of 2.2 m, and the same again."""
+    truth = np.array([se3.pose(np.eye(3), [0.0, 0.0, 0.2 * i]) for i in range(N)])
+    return np.concatenate([truth, turned(1.0, 7.0) @ truth])
+
+
+def loop(poses, i, wrong=None):
+    """Keyframe 12 + i stands where keyframe i does."""
+    T = np.eye(4) if wrong is None else wrong
+    return Loop(N + i, i, T, np.eye(6), "loop", "view")
+
+
+class Verifier:
+    """Accepts what its pairs are, and remembers what it was asked."""
+
+    def __init__(self, accepts=lambda query_id, match_id: True):
+        self.accepts = accepts
+        self.asked = []
+
+    def __call__(self, query_id, match_ids, T_match_query):
+        self.asked += [(query_id, match_id) for match_id in match_ids]
+        return [
+            Verification(self.accepts(query_id, m), "", T, 1.0, 0.0, np.eye(6))
+            for m, T in zip(match_ids, T_match_query, strict=True)
+        ]
+
+
+def admit(gate, loops, poses, parts=PARTS):
+    return [
+        (found.query_id - N, found.match_id)
+        for one in loops
+        for found in gate.admit([one], poses, parts)
+    ]
+
+
+def test_enough_loops_that_agree_join_all_at_once(looked_about):
+    gate = JoinGate(JoinParams(), Verifier())
+    loops = [loop(looked_about, i) for i in (0, 3, 6, 9, 10)]
+    assert admit(gate, loops[:3], looked_about) == []
+    assert admit(gate, loops[3:4], looked_about) == [(0, 0), (3, 3), (6, 6), (9, 9)]
+    assert admit(gate, loops[4:], looked_about, np.zeros(2 * N, int)) == []
+
+
+def test_one_that_disagrees_is_not_taken_along(looked_about):
+    gate = JoinGate(JoinParams(), Verifier())
+    wrong = loop(looked_about, 5, wrong=se3.pose(np.eye(3), [0.6, 0.0, 0.0]))
+    loops = [loop(looked_about, 0), wrong, *(loop(looked_about, i) for i in (6, 8, 11))]
+    assert admit(gate, loops, looked_about) == [(0, 0), (6, 6), (8, 8), (11, 11)]
+
+
+def test_views_down_one_hall_are_too_little(walked_down):
+    loops = [loop(walked_down, i) for i in range(N)]
+    assert admit(JoinGate(JoinParams(), Verifier()), loops, walked_down) == []
+    easy = JoinGate(JoinParams(walk_about_m=1.0), Verifier())
+    assert admit(easy, loops, walked_down) == [(i, i) for i in range(6)]
+
+
+def test_other_views_that_would_be_of_one_place_must_agree(looked_about):
+    """The loops are of the last views; the first ones look nothing alike."""
+    late = Verifier(lambda query_id, _: query_id >= N + 6)
+    loops = [loop(looked_about, i) for i in (6, 8, 10, 11)]
+    params = JoinParams(look_about_rad=0.5)
+    assert admit(JoinGate(params, late), loops, looked_about) == []
+    assert {query_id for query_id, _ in late.asked} == set(range(N, 2 * N))
+    assert len(admit(JoinGate(params, Verifier()), loops, looked_about)) == 4
+
+
+def test_a_third_part_bears_no_witness(looked_about):
+    parts = PARTS.copy()
+    parts[N + 6 :] = 2
+    gate = JoinGate(JoinParams(n_required=3, look_about_rad=0.0), Verifier())
+    assert admit(gate, [loop(looked_about, i) for i in (1, 3, 8, 10)], looked_about, parts) == []
+    assert len(admit(gate, [loop(looked_about, 11)], looked_about, parts)) == 3
