@@ -2,12 +2,11 @@
 
 Drift cannot judge such a loop, and one that is wrong, two halls alike, lays whole rooms on top of
 each other. So several must agree, they must have looked about rather than down one hall, and
-whatever else the two parts would then both have seen must look the same from both.
+what either part has seen must not stand where the other has looked through.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,12 +15,10 @@ from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.consistency import agree
-from slam_bof.types import Array, Loop, Params, Pose, Verification
+from slam_bof.recogniser import Compare
+from slam_bof.types import Array, Loop, Params
 
 __all__ = ["JoinGate", "JoinParams"]
-
-Verify = Callable[[int, list[int], Array], list[Verification]]
-"""Verifies a keyframe against others, from ``T_match_query`` (n, 4, 4)."""
 
 
 class JoinParams(Params):
@@ -30,20 +27,22 @@ class JoinParams(Params):
     n_required: int = Field(4, gt=0, description="loops of different keyframes that agree")
     max_distance_m: float = Field(0.15, gt=0, description="by which they may disagree")
     max_angle_rad: float = Field(0.06, gt=0)
-    look_about_rad: float = Field(0.8, ge=0, description="between their directions of view, or")
+    look_about_rad: float = Field(0.6, ge=0, description="between their directions of view, or")
     walk_about_m: float = Field(3.0, ge=0, description="between the places they look from")
-    same_view_m: float = Field(0.7, gt=0, description="views nearer than this, and")
-    same_view_rad: float = Field(0.5, gt=0, description="turned less, must show the same")
-    n_checked: int = Field(24, gt=0, description="of which so many are verified")
-    min_agreeing: float = Field(0.6, ge=0, le=1, description="share that must agree")
+    near_m: float = Field(2.5, gt=0, description="views that a join brings nearer than this,")
+    near_rad: float = Field(1.0, gt=0, description="turned by less, are compared,")
+    n_compared: int = Field(300, gt=0, description="so many of them")
+    max_blocking: float = Field(
+        0.2, ge=0, le=1, description="share of their points that may stand in free space"
+    )
 
 
 class JoinGate:
     """Holds loops between parts of the map back until they are enough to join them."""
 
-    def __init__(self, params: JoinParams, verify: Verify) -> None:
+    def __init__(self, params: JoinParams, compare: Compare | None = None) -> None:
         self.params = params
-        self._verify = verify
+        self._compare = compare
         self._pending: list[Loop] = []
 
     def admit(
@@ -68,9 +67,7 @@ class JoinGate:
             ]
             self._pending.append(loop)
             agreeing.append(loop)
-            if self._is_enough(agreeing, T_map_camera) and self._is_confirmed(
-                loop, T_map_camera, parts
-            ):
+            if self._is_enough(agreeing, T_map_camera) and self._is_free(loop, T_map_camera, parts):
                 self._pending = [other for other in self._pending if other not in agreeing]
                 return agreeing
         return []
@@ -85,36 +82,29 @@ class JoinGate:
         walked_m = np.linalg.norm(T[:, :3, 3], axis=1).max()
         return bool(se3.rotation_angle(T).max() >= p.look_about_rad or walked_m >= p.walk_about_m)
 
-    def _is_confirmed(
-        self, loop: Loop, T_map_camera: Array, parts: NDArray[np.integer[Any]]
-    ) -> bool:
-        """Tell whether most views that the loop brings together show the same."""
-        p = self.params
-        pairs = self._same_views(loop, T_map_camera, parts)
-        n_agreeing = 0
-        for query_id, match_id, T_match_query in pairs:
-            (verified,) = self._verify(query_id, [match_id], T_match_query[None])
-            n_agreeing += verified.accepted
-        return n_agreeing >= p.min_agreeing * len(pairs)
+    def _is_free(self, loop: Loop, T_map_camera: Array, parts: NDArray[np.integer[Any]]) -> bool:
+        """Tell whether either part leaves free what the other sees through, were they joined so.
 
-    def _same_views(
-        self, loop: Loop, T_map_camera: Array, parts: NDArray[np.integer[Any]]
-    ) -> list[tuple[int, int, Pose]]:
-        """Return up to ``n_checked`` keyframes of the query's part, each with its likest view."""
+        That holds through walls as well: what is behind what one sees contradicts nothing.
+        """
+        if self._compare is None:
+            return True
         p = self.params
         match_ids = np.flatnonzero(parts == parts[loop.match_id])
+        query_ids = np.flatnonzero(parts == parts[loop.query_id])
         T_query_map = se3.inverse(T_map_camera[loop.query_id])
         T_map_other = T_map_camera[loop.match_id] @ loop.T_match_query @ T_query_map
-        T_matches_map = se3.inverse(T_map_camera[match_ids])
-        pairs = []
-        for query_id in np.flatnonzero(parts == parts[loop.query_id]).tolist():
-            T = T_matches_map @ (T_map_other @ T_map_camera[query_id])
-            apart = np.maximum(
-                np.linalg.norm(T[:, :3, 3], axis=1) / p.same_view_m,
-                se3.rotation_angle(T) / p.same_view_rad,
-            )
-            likest = int(apart.argmin())
-            if apart[likest] < 1.0:
-                pairs.append((query_id, int(match_ids[likest]), T[likest]))
-        chosen = np.linspace(0, len(pairs) - 1, min(len(pairs), p.n_checked)).astype(np.intp)
-        return [pairs[i] for i in chosen]
+        T_queries = T_map_other @ T_map_camera[query_ids]
+        T = se3.inverse(T_map_camera[match_ids])[None] @ T_queries[:, None]
+        near = (np.linalg.norm(T[..., :3, 3], axis=-1) < p.near_m) & (
+            se3.rotation_angle(T) < p.near_rad
+        )
+        pairs = np.argwhere(near)
+        pairs = pairs[:: -(-len(pairs) // p.n_compared)] if len(pairs) else pairs
+        blocking = compared = 0.0
+        for query in np.unique(pairs[:, 0]):
+            matches = pairs[pairs[:, 0] == query, 1]
+            found = self._compare(int(query_ids[query]), match_ids[matches], T[query, matches])
+            blocking += float(found.blocking.sum())
+            compared += float(found.compared.sum())
+        return blocking <= p.max_blocking * compared

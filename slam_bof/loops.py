@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slam_bof.index import InvertedIndex
-from slam_bof.recogniser import PlaceRecogniser, RecogniserParams
+from slam_bof.recogniser import Compare, PlaceRecogniser, RecogniserParams
 from slam_bof.types import Candidate, DepthFrame, Keyframe, Params, Pose, Scene
 
 __all__ = ["Found", "LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
@@ -100,6 +100,11 @@ class LoopDetector:
         (3,) roughly down in the odometry's frame, for views.
     seed
         Of what aligning views draws at random.
+
+    Attributes
+    ----------
+    compare
+        Measures how far a keyframe agrees with others at given poses; None by bags.
     """
 
     def __init__(
@@ -112,11 +117,13 @@ class LoopDetector:
     ) -> None:
         self.params = params
         self.counts = LoopCounts()
+        self.compare: Compare | None = None
         self._ranking: _Ranking
         if params.by == "bags":
             self._ranking = _Bags(params, n_words)
         else:
             recogniser = PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom, seed=seed)
+            self.compare = recogniser.agreement
             self._ranking = _Views(params, recogniser)
         self._keyframes: list[Keyframe] = []
         self._maxima: list[tuple[int, ...]] = []

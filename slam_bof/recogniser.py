@@ -8,14 +8,16 @@ are alike enough to be found, the place is still known from a moment ago.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slam_bof import se3
-from slam_bof.alignment import AlignmentParams, ViewAligner
+from slam_bof.alignment import Agreement, AlignmentParams, ViewAligner
 from slam_bof.gravity import GravityTracker, level_frame
 from slam_bof.panorama import Panorama
 from slam_bof.slices import Slices
@@ -23,7 +25,10 @@ from slam_bof.stack import Stack
 from slam_bof.types import Array, DepthFrame, Params, Pose
 from slam_bof.views import make_view
 
-__all__ = ["PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
+__all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
+
+Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
+"""Measures how far a view agrees with others (n,) at ``T_match_query`` (n, 4, 4)."""
 
 
 class RecogniserParams(Params):
@@ -126,6 +131,12 @@ class PlaceRecogniser:
         """Bytes of all views remembered."""
         stacks = (self._panoramas, self._plans, self._R_level_camera)
         return self._aligner.nbytes + sum(stack.rows.nbytes for stack in stacks)
+
+    def agreement(
+        self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
+    ) -> Agreement:
+        """Measure how far a view agrees with others (n,) at poses (n, 4, 4)."""
+        return self._aligner.agreement(view_id, match_ids, T_match_query)
 
     def recognise(self, view_id: int, n_views: int) -> list[PlaceMatch]:
         """Return the first ``n_views`` views that may show what this one does, best first."""

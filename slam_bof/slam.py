@@ -104,22 +104,24 @@ class LoopCloser:
         if not isinstance(config, Config):
             config = load(Path(config))
         model = models.load_default() if config.model == "default" else models.load(config.model)
+        detector = LoopDetector(
+            config.loops,
+            model.vocabulary.n_words,
+            gravity_odom=config.gravity_odom,
+            seed=config.seed,
+        )
         return cls(
             model=model,
             tracker=Tracker(config.tracking, seed=config.seed),
             selector=KeyframeSelector(config.keyframes),
-            detector=LoopDetector(
-                config.loops,
-                model.vocabulary.n_words,
-                gravity_odom=config.gravity_odom,
-                seed=config.seed,
-            ),
+            detector=detector,
             covisibility=config.covisibility,
             cloud=config.cloud,
             gravity_odom=config.gravity_odom,
             verification=LoopVerification(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 config.verification,
+                compare=detector.compare,
                 seed=config.seed,
             ),
             backend=registry.build("backends", config.backend.name, config.backend.options),

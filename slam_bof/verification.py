@@ -15,6 +15,7 @@ from slam_bof import se3
 from slam_bof.consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.joining import JoinGate, JoinParams
 from slam_bof.ports import Verifier
+from slam_bof.recogniser import Compare
 from slam_bof.types import Array, Candidate, DepthFrame, Loop, Params, Pose, Verification
 
 __all__ = ["LoopVerification", "VerificationParams"]
@@ -33,8 +34,8 @@ class VerificationParams(Params):
     max_view_angle_rad: float = Field(0.7, gt=0, description="between views with like bags")
     slack_m: float = Field(0.5, ge=0, description="a loop may move the map by this, plus drift")
     slack_rad: float = Field(0.3, ge=0, description="and turn it by this, plus drift")
-    drift_m_per_m: float = Field(0.1, ge=0, description="drift that odometry may have")
-    drift_rad_per_m: float = Field(0.05, ge=0, description="and its turn")
+    drift_m_per_m: float = Field(0.05, ge=0, description="drift that odometry may have")
+    drift_rad_per_m: float = Field(0.02, ge=0, description="and its turn")
     consistency: ConsistencyParams = ConsistencyParams()
     joining: JoinParams = JoinParams()
 
@@ -42,11 +43,18 @@ class VerificationParams(Params):
 class LoopVerification:
     """Keeps the keyframes' clouds and verifies candidates between them."""
 
-    def __init__(self, verifier: Verifier, params: VerificationParams, *, seed: int = 0) -> None:
+    def __init__(
+        self,
+        verifier: Verifier,
+        params: VerificationParams,
+        *,
+        compare: Compare | None = None,
+        seed: int = 0,
+    ) -> None:
         self.params = params
         self._verifier = verifier
         self._gate = ConsistencyGate(params.consistency)
-        self._join_gate = JoinGate(params.joining, self._verify_from)
+        self._join_gate = JoinGate(params.joining, compare)
         self._seed = seed
         self._prepared: list[Any] = []
 
@@ -139,25 +147,18 @@ class LoopVerification:
         T_match_query = se3.inverse(T_map_camera[match_ids]) @ T_map_camera[query_id]
         for k, match_id in enumerate(match_ids):
             T_match_query[k] = guesses.get(match_id, T_match_query[k])
-        verified = self._verify_from(query_id, match_ids, T_match_query)
+        query = self._prepared[query_id]
+        matches = [self._prepared[match_id] for match_id in match_ids]
+        verified = self._verifier.verify(query, matches, T_match_query=T_match_query)
         again = [
             k
             for k, candidate in enumerate(candidates)
             if candidate.source == "bag" and not verified[k].accepted
         ]
-        query = self._prepared[query_id]
-        matches = [self._prepared[match_ids[k]] for k in again]
-        found = self._verifier.verify(query, matches, seed=self._seed)
+        found = self._verifier.verify(query, [matches[k] for k in again], seed=self._seed)
         for k, verification in zip(again, found, strict=True):
             verified[k] = verification
         return verified
-
-    def _verify_from(
-        self, query_id: int, match_ids: list[int], T_match_query: Array
-    ) -> list[Verification]:
-        query = self._prepared[query_id]
-        matches = [self._prepared[match_id] for match_id in match_ids]
-        return self._verifier.verify(query, matches, T_match_query=T_match_query)
 
     def _object(
         self,

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from slam_bof import se3
+from slam_bof.alignment import Agreement
 from slam_bof.joining import JoinGate, JoinParams
-from slam_bof.types import Loop, Verification
+from slam_bof.types import Loop
 
 N = 12
 PARTS = np.repeat([0, 1], N)
@@ -35,19 +36,17 @@ def loop(poses, i, wrong=None):
     return Loop(N + i, i, T, np.eye(6), "loop", "view")
 
 
-class Verifier:
-    """Accepts what its pairs are, and remembers what it was asked."""
+class Compare:
+    """Finds so much of a view blocking, and remembers what it was asked."""
 
-    def __init__(self, accepts=lambda query_id, match_id: True):
-        self.accepts = accepts
-        self.asked = []
+    def __init__(self, blocking=lambda query_id: 0.0):
+        self.blocking = blocking
+        self.asked = set()
 
     def __call__(self, query_id, match_ids, T_match_query):
-        self.asked += [(query_id, match_id) for match_id in match_ids]
-        return [
-            Verification(self.accepts(query_id, m), "", T, 1.0, 0.0, np.eye(6))
-            for m, T in zip(match_ids, T_match_query, strict=True)
-        ]
+        self.asked.add(query_id)
+        ones = np.ones(len(match_ids))
+        return Agreement(ones, self.blocking(query_id) * ones, ones)
 
 
 def admit(gate, loops, poses, parts=PARTS):
@@ -59,7 +58,7 @@ def admit(gate, loops, poses, parts=PARTS):
 
 
 def test_enough_loops_that_agree_join_all_at_once(looked_about):
-    gate = JoinGate(JoinParams(), Verifier())
+    gate = JoinGate(JoinParams(), Compare())
     loops = [loop(looked_about, i) for i in (0, 3, 6, 9, 10)]
     assert admit(gate, loops[:3], looked_about) == []
     assert admit(gate, loops[3:4], looked_about) == [(0, 0), (3, 3), (6, 6), (9, 9)]
@@ -67,7 +66,7 @@ def test_enough_loops_that_agree_join_all_at_once(looked_about):
 
 
 def test_one_that_disagrees_is_not_taken_along(looked_about):
-    gate = JoinGate(JoinParams(), Verifier())
+    gate = JoinGate(JoinParams(), Compare())
     wrong = loop(looked_about, 5, wrong=se3.pose(np.eye(3), [0.6, 0.0, 0.0]))
     loops = [loop(looked_about, 0), wrong, *(loop(looked_about, i) for i in (6, 8, 11))]
     assert admit(gate, loops, looked_about) == [(0, 0), (6, 6), (8, 8), (11, 11)]
@@ -75,24 +74,31 @@ def test_one_that_disagrees_is_not_taken_along(looked_about):
 
 def test_views_down_one_hall_are_too_little(walked_down):
     loops = [loop(walked_down, i) for i in range(N)]
-    assert admit(JoinGate(JoinParams(), Verifier()), loops, walked_down) == []
-    easy = JoinGate(JoinParams(walk_about_m=1.0), Verifier())
+    assert admit(JoinGate(JoinParams(), Compare()), loops, walked_down) == []
+    easy = JoinGate(JoinParams(walk_about_m=1.0), Compare())
     assert admit(easy, loops, walked_down) == [(i, i) for i in range(6)]
 
 
-def test_other_views_that_would_be_of_one_place_must_agree(looked_about):
-    """The loops are of the last views; the first ones look nothing alike."""
-    late = Verifier(lambda query_id, _: query_id >= N + 6)
+def test_neither_part_may_stand_where_the_other_looked_through(looked_about):
+    """The loops are of the last views; what the first ones saw is in the way."""
+    blocked = Compare(lambda query_id: 0.6 if query_id < N + 6 else 0.02)
     loops = [loop(looked_about, i) for i in (6, 8, 10, 11)]
-    params = JoinParams(look_about_rad=0.5)
-    assert admit(JoinGate(params, late), loops, looked_about) == []
-    assert {query_id for query_id, _ in late.asked} == set(range(N, 2 * N))
-    assert len(admit(JoinGate(params, Verifier()), loops, looked_about)) == 4
+    assert admit(JoinGate(JoinParams(), blocked), loops, looked_about) == []
+    assert blocked.asked == set(range(N, 2 * N))
+    assert len(admit(JoinGate(JoinParams(), Compare()), loops, looked_about)) == 4
+    assert len(admit(JoinGate(JoinParams()), loops, looked_about)) == 4  # by bags: not asked
+
+
+def test_only_so_many_views_are_compared(looked_about):
+    few = Compare()
+    loops = [loop(looked_about, i) for i in (0, 3, 6, 9)]
+    assert len(admit(JoinGate(JoinParams(n_compared=3), few), loops, looked_about)) == 4
+    assert 1 <= len(few.asked) <= 3
 
 
 def test_a_third_part_bears_no_witness(looked_about):
     parts = PARTS.copy()
     parts[N + 6 :] = 2
-    gate = JoinGate(JoinParams(n_required=3, look_about_rad=0.0), Verifier())
+    gate = JoinGate(JoinParams(n_required=3, look_about_rad=0.0), Compare())
     assert admit(gate, [loop(looked_about, i) for i in (1, 3, 8, 10)], looked_about, parts) == []
     assert len(admit(gate, [loop(looked_about, 11)], looked_about, parts)) == 3
