@@ -20,6 +20,9 @@ from slam_bof.types import Array, Loop, Params
 
 __all__ = ["JoinGate", "JoinParams"]
 
+N_QUERIES = 100
+"""So many keyframes of the younger part are asked what the older one has near."""
+
 
 class JoinParams(Params):
     """What loops that join two parts of the map need beyond those within one."""
@@ -92,6 +95,7 @@ class JoinGate:
         p = self.params
         match_ids = np.flatnonzero(parts == parts[loop.match_id])
         query_ids = np.flatnonzero(parts == parts[loop.query_id])
+        query_ids = query_ids[:: -(-len(query_ids) // N_QUERIES)]
         T_query_map = se3.inverse(T_map_camera[loop.query_id])
         T_map_other = T_map_camera[loop.match_id] @ loop.T_match_query @ T_query_map
         T_queries = T_map_other @ T_map_camera[query_ids]
@@ -100,7 +104,7 @@ class JoinGate:
             se3.rotation_angle(T) < p.near_rad
         )
         pairs = np.argwhere(near)
-        pairs = pairs[:: -(-len(pairs) // p.n_compared)] if len(pairs) else pairs
+        pairs = pairs[:: max(1, -(-len(pairs) // p.n_compared))]
         blocking = compared = 0.0
         for query in np.unique(pairs[:, 0]):
             matches = pairs[pairs[:, 0] == query, 1]
