@@ -17,6 +17,8 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "ate_max_m": ("largest error with loops", "{:.4f} m"),
         "rpe_odometry_m": ("RPE of odometry alone, 30 frames (RMSE)", "{:.4f} m"),
         "rpe_m": ("RPE with loops, 30 frames (RMSE)", "{:.4f} m"),
+        "n_odometry_lost": ("times that odometry was lost", "{}"),
+        "n_parts": ("parts of the map that no loop has joined", "{}"),
     },
     "Loops and labels": {
         "n_candidates": ("pairs considered", "{}"),

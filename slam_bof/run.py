@@ -42,18 +42,24 @@ class RunResult:
 
 
 class Recorder:
-    """The observer of a run: saves each keyframe at once, logs warnings, passes all on."""
+    """The observer of a run: saves each keyframe at once, logs what goes wrong, passes all on."""
 
     def __init__(self, store: MapStore, observer: Observer) -> None:
         self._store = store
         self._observer = observer
+        self._is_lost = False
 
     def on_start(self, n_frames: int) -> None:
         """Pass on."""
         self._observer.on_start(n_frames)
 
     def on_step(self, frame_index: int, step: Step) -> None:
-        """Save the keyframe, if the frame became one."""
+        """Save the keyframe, if the frame became one; log where odometry is lost and found."""
+        if step.is_lost != self._is_lost:
+            self._is_lost = step.is_lost
+            logger.warning(
+                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "found"
+            )
         if step.keyframe is not None:
             self._store.add(step.keyframe, step.candidates, step.loops)
         self._observer.on_step(frame_index, step)

@@ -131,7 +131,7 @@ class LoopVerification:
         between = [loop for loop in loops if parts[loop.query_id] != parts[loop.match_id]]
         admitted = self._gate.admit(within, T_map_camera)
         admitted += self._join_gate.admit(between, T_map_camera, parts)
-        return _hold(judged, admitted), edges + admitted
+        return _hold(judged, admitted, parts), edges + admitted
 
     def _align(
         self, candidates: Sequence[Candidate], T_map_camera: Array, guesses: Mapping[int, Pose]
@@ -210,12 +210,19 @@ def _size(T: Pose) -> tuple[float, float]:
     return float(np.linalg.norm(T[:3, 3])), float(se3.rotation_angle(T))
 
 
-def _hold(judged: list[Candidate], admitted: list[Loop]) -> list[Candidate]:
+def _hold(
+    judged: list[Candidate], admitted: list[Loop], parts: NDArray[np.integer[Any]]
+) -> list[Candidate]:
     """Mark the loops that were verified but not admitted yet."""
     pairs = {(loop.query_id, loop.match_id) for loop in admitted}
-    return [
-        replace(c, decision="held", reason="too few loops of other keyframes agree with it")
-        if c.decision == "accepted" and c.kind == "loop" and (c.query_id, c.match_id) not in pairs
-        else c
-        for c in judged
-    ]
+
+    def hold(candidate: Candidate) -> Candidate:
+        pair = candidate.query_id, candidate.match_id
+        if candidate.decision != "accepted" or candidate.kind != "loop" or pair in pairs:
+            return candidate
+        reason = "no loop of another keyframe agrees with it"
+        if parts[candidate.query_id] != parts[candidate.match_id]:
+            reason = "not enough yet to join two parts of the map"
+        return replace(candidate, decision="held", reason=reason)
+
+    return [hold(candidate) for candidate in judged]

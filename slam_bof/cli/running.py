@@ -19,6 +19,8 @@ __all__ = ["demo", "run"]
 SUMMARY = (
     ("ATE of odometry", "ate_odometry_m", "m"),
     ("ATE after loops", "ate_m", "m"),
+    ("Times that odometry was lost", "n_odometry_lost", ""),
+    ("Parts of the map", "n_parts", ""),
     ("Loops accepted", "n_loops", ""),
     ("Loops that are right", "loop_precision", "share"),
     ("Scene labels that are right", "scene_accuracy", "share"),
