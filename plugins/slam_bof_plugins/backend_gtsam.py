@@ -14,6 +14,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.cluster.hierarchy import DisjointSet
 
 from slam_bof import se3
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
@@ -64,6 +65,7 @@ class GtsamBackend:
         self._T_odom_camera: list[Pose] = []
         self._stamps_s: list[float] = []
         self._segments: list[int] = []
+        self._held = DisjointSet()
         self._has_new_loop = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
@@ -91,6 +93,7 @@ class GtsamBackend:
         self._T_odom_camera.append(keyframe.T_odom_camera)
         self._stamps_s.append(keyframe.stamp_s)
         self._segments.append(keyframe.segment)
+        self._held.add(keyframe.segment)
 
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there.
@@ -115,13 +118,15 @@ class GtsamBackend:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.
 
         One that says what the map has already waits for the end: where the same place is seen
-        over and over, iSAM2's tree would become dense and each update slower than the last.
+        over and over, iSAM2's tree would become dense and each update slower than the last. The
+        first between two segments never waits: without, the lost step alone would place them.
         """
         shape = loop.information / np.trace(loop.information) * 6.0
         noise = gtsam.noiseModel.Gaussian.Information(shape / self.params.loop_sigma**2)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
         self._loops.append((edge, noise))
-        if self._is_news(edge):
+        joins = self._held.merge(self._segments[edge.match], self._segments[edge.query])
+        if joins or self._is_news(edge):
             self._new_factors.add(self._robust(edge, noise))
             self._has_new_loop = True
 

@@ -199,7 +199,8 @@ def restarted():
     """Twice round the circle, the second time by an odometry that was started anew."""
     truth, odometry = circle()
     truth = np.concatenate([truth, truth[-1] @ truth[1:]])
-    anew = np.concatenate([odometry, odometry[1:]])
+    elsewhere = se3.exp(np.array([0.3, 1.0, 0.2, 3.0, -1.0, 2.0]))
+    anew = np.concatenate([odometry, elsewhere @ odometry[1:]])
     backend = GtsamBackend()
     for i, T in enumerate(anew):
         backend.add_keyframe(Keyframe(i, i, float(i), T, EMPTY, None, int(i > N)))
@@ -225,6 +226,16 @@ def test_a_lost_step_gives_way_to_a_loop(restarted):
     assert (backend.optimize() >= 0.5).all()
     assert np.linalg.norm((backend.poses()[N + 3] - backend.poses()[3])[:3, 3]) < 0.01
     assert error_m(backend.poses(), truth) < 0.2
+
+
+def test_one_loop_is_enough_to_hold_what_it_joined(restarted):
+    """Where the part was carried to, the loop is no news; it must hold all the same."""
+    backend, truth = restarted
+    join(backend, truth, N + 3, 3)
+    joined = backend.poses()
+    backend.add_loop(loop(truth, N + 3, 3))
+    backend.update()
+    np.testing.assert_allclose(backend.poses(), joined, atol=0.02)
 
 
 def test_a_wrong_loop_does_not_hold_a_part_that_right_ones_joined(restarted):
