@@ -163,3 +163,17 @@ def test_the_saved_configuration_holds_every_option_of_every_plugin(finished):
     assert "max_points_per_voxel:" in saved
     assert "cauchy:" in saved
     assert "max_blocking:" in saved
+
+
+def test_where_odometry_was_lost_is_told(tmp_path):
+    poses = spin(2.5, 2.3, rate_deg_s=60.0, angle_deg=60.0, pitch=0.3)[5:35]
+    scene = Scene3D(make_room("living_room", seed=3).mesh)
+    write_sequence(tmp_path / "room" / "seq-01", scene, poses, dark=range(12, 16))
+    finished = run(tmp_path / "room" / "seq-01", tmp_path / "runs")
+    assert finished.metrics["n_odometry_lost"] == 1
+    log = (finished.folder / "run.log").read_text()
+    assert "frame 12: odometry lost" in log
+    assert "frame 16: odometry found" in log
+    with sqlite3.connect(finished.folder / "map.db") as db:
+        frames = [row[0] for row in db.execute("SELECT frame_index FROM keyframes")]
+    assert not set(frames) & set(range(12, 16))
