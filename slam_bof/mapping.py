@@ -16,6 +16,16 @@ from slam_bof.types import Array
 __all__ = ["write_map"]
 
 STRIDE = 4
+EMPTY = """\
+ply
+format binary_little_endian 1.0
+element vertex 0
+property double x
+property double y
+property double z
+end_header
+"""
+"""What Open3D would write of no points, if it did not refuse to."""
 MAX_RANGE_M = 4.0
 
 
@@ -32,7 +42,8 @@ def write_map(
     Parameters
     ----------
     path
-        The .ply file to write (binary, with colour where the data set has it).
+        The .ply file to write (binary, with colour where the data set has it); without keyframes,
+        or where all they see is too far, it has no points.
     dataset, frame_indices, T_map_camera
         The frames to fuse, by index, and their (K, 4, 4) poses in the map.
     voxel_size_m
@@ -51,6 +62,9 @@ def write_map(
             rgb = color[::STRIDE, ::STRIDE][depth_m > 0.0] / 255.0
             cloud.colors = o3d.utility.Vector3dVector(rgb.astype(np.float64))
         fused += cloud.voxel_down_sample(voxel_size_m)
+    if fused.is_empty():
+        path.write_text(EMPTY, encoding="ascii", newline="\n")
+        return 0
     fused = fused.voxel_down_sample(voxel_size_m)
     if not o3d.io.write_point_cloud(str(path), fused):
         raise OSError(f"cannot write {path}")

@@ -70,6 +70,7 @@ def compute_metrics(
         "n_frames_skipped": result.n_skipped,
         "n_keyframes": len(closer.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
+        "n_frames_lost": closer.n_frames_lost,
         "n_parts": closer.n_parts,
         "n_candidates": len(considered),
         "n_verified": len(verified),

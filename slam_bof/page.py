@@ -40,6 +40,9 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
     "Input and cost": {
         "n_frames": ("frames", "{}"),
         "n_frames_skipped": ("frames skipped as unreadable", "{}"),
+        "n_odometry_lost": ("times that odometry was lost", "{}"),
+        "n_frames_lost": ("frames lost: not known where", "{}"),
+        "n_parts": ("parts of the map that no loop joined", "{}"),
         "n_keyframes": ("keyframes", "{}"),
         "fps": ("frames a second, all included", "{:.1f}"),
         "cpu_s": ("processor time", "{:.1f} s"),

@@ -29,6 +29,8 @@ from slam_bof.types import Candidate, Keyframe, Step, Trajectory
 __all__ = ["RunResult", "run_sequence"]
 
 LEFT_OUT = "contradicts the other loops, weighed all together at the end"
+MANY_LOST = 0.1
+"""Share of lost frames above which a run says so."""
 
 logger = logging.getLogger(__name__)
 
@@ -104,6 +106,11 @@ def run_sequence(
             _write_trajectory(folder, "odometry", result.odometry)
             _write_trajectory(folder, "optimized", result.optimized)
             used = Usage.now() - started
+            if closer.n_frames_lost > MANY_LOST * len(result.indices):
+                recorder.on_warning(
+                    f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little "
+                    "depth, or too little in common with what was seen before"
+                )
             T_map_camera = closer.backend.poses()
             store.set_map_poses(T_map_camera)
             store.leave_out(closer.loops_left_out, LEFT_OUT)

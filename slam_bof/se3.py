@@ -14,6 +14,7 @@ from slam_bof.types import Array, Pose
 
 __all__ = [
     "align",
+    "check_rigid",
     "exp",
     "from_quaternion",
     "interpolate",
@@ -25,6 +26,38 @@ __all__ = [
     "to_quaternion",
     "transform",
 ]
+
+
+TOLERANCE = 1e-2
+"""How far ``R.T @ R`` may be from the identity in a transform that is taken from outside: one of
+few digits still is."""
+
+
+def check_rigid(T: Array) -> None:
+    """Check a transform (4, 4), or its upper (3, 4), that comes from outside.
+
+    >>> check_rigid(np.diag([2.0, 2.0, 2.0, 1.0]))
+    Traceback (most recent call last):
+    ValueError: found a matrix that is no rotation (determinant 8, R'R off by 3), \
+expected an orthonormal one of determinant 1
+
+    Raises
+    ------
+    ValueError
+        If it is of another shape, not finite, or no rotation and translation.
+    """
+    if T.shape not in ((4, 4), (3, 4)):
+        raise ValueError(f"found an array {T.shape}, expected a (4, 4) transform")
+    if not np.isfinite(T).all():
+        raise ValueError("found NaN or infinity, expected 12 finite numbers")
+    R = T[:3, :3]
+    off = float(np.abs(R.T @ R - np.eye(3)).max())
+    determinant = float(np.linalg.det(R))
+    if off > TOLERANCE or determinant < 0.0:
+        raise ValueError(
+            f"found a matrix that is no rotation (determinant {determinant:.6g}, "
+            f"R'R off by {off:.3g}), expected an orthonormal one of determinant 1"
+        )
 
 
 def pose(R: ArrayLike, t: ArrayLike) -> Pose:

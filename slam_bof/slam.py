@@ -129,12 +129,24 @@ class LoopCloser:
         )
 
     def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
-        """Take a frame and its odometry pose (4, 4); answer with the map's correction."""
+        """Take a frame and its odometry pose (4, 4); answer with the map's correction.
+
+        Raises
+        ------
+        ValueError
+            If stamps do not grow, or the pose is not finite or no rotation and translation; the
+            frame is not taken then, and others may follow.
+        """
         frame_index = len(self._stamps_s)
-        if frame_index and frame.stamp_s <= self._stamps_s[-1]:
-            raise ValueError(
-                f"stamps must grow, got {frame.stamp_s} s after {self._stamps_s[-1]} s"
-            )
+        last_s = self._stamps_s[-1] if self._stamps_s else -np.inf
+        if not last_s < frame.stamp_s < np.inf:
+            raise ValueError(f"stamps must grow, got {frame.stamp_s} s after {last_s} s")
+        T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
+        try:
+            se3.check_rigid(T_odom_camera)
+        except ValueError as error:
+            place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
+            raise ValueError(f"{place}: {error}") from None
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera)
         self._stamps_s.append(frame.stamp_s)
@@ -152,6 +164,7 @@ class LoopCloser:
     def finish(self) -> Trajectory:
         """Optimise the whole graph; return ``T_map_camera`` of every frame processed.
 
+        Where nothing was ever seen there is no keyframe, and the map is the odometry.
         Loops that contradict the rest move from ``loops`` to ``loops_left_out``.
         """
         with self._clock.stage("optimize"):
@@ -159,9 +172,10 @@ class LoopCloser:
                 kept = self.backend.optimize() >= 0.5
                 self.loops = list(itertools.compress(self._added, kept))
                 self.loops_left_out = list(itertools.compress(self._added, ~kept))
+        stamps_s = np.array(self._stamps_s)
+        T_odom_camera = np.array(self._T_odom_camera).reshape(-1, 4, 4)
         if not self.keyframes:
-            return Trajectory()
-        stamps_s, T_odom_camera = np.array(self._stamps_s), np.array(self._T_odom_camera)
+            return Trajectory(stamps_s, T_odom_camera)
         frame_indices = np.array([k.frame_index for k in self.keyframes])
         poses = spread_correction(
             T_odom_camera,
@@ -190,6 +204,11 @@ class LoopCloser:
     def n_odometry_lost(self) -> int:
         """How often the odometry was lost so far."""
         return self._tracker.n_lost
+
+    @property
+    def n_frames_lost(self) -> int:
+        """Of how many frames so far it is not known where the camera was."""
+        return self._segments.count(LOST)
 
     def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
         T_odom_camera = track.T_odom_camera

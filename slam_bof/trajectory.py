@@ -1,4 +1,4 @@
-"""Trajectories as text: the TUM and KITTI formats, at full precision.
+"""Trajectories as text, in the TUM and KITTI formats at full precision; and bent by a map.
 
 TUM has a line ``stamp tx ty tz qx qy qz qw`` for each pose, KITTI the 12 numbers of the upper
 (3, 4) of ``T_world_camera``, row by row, one line for each frame and no stamps. Numbers are
@@ -16,11 +16,11 @@ from slam_bof import se3
 from slam_bof.errors import DatasetError
 from slam_bof.types import Array, Trajectory
 
-__all__ = ["read_kitti", "read_tum", "write_kitti", "write_tum"]
+__all__ = ["read_kitti", "read_tum", "spread_correction", "write_kitti", "write_tum"]
 
 TOLERANCE = 1e-2
-"""How far a quaternion may be from norm 1, and ``R.T @ R`` from the identity: files that were
-written with few digits are still read, and made orthonormal."""
+"""How far a quaternion may be from norm 1: files that were written with few digits are still read,
+and it is normalised."""
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
@@ -150,15 +150,10 @@ def _quaternions(poses: Array) -> Array:
 
 
 def _check_pose(T: Array, where: str) -> None:
-    if not np.isfinite(T).all():
-        raise DatasetError(f"{where}: found NaN or infinity, expected 12 finite numbers")
-    R = T[:, :3]
-    error = float(np.abs(R.T @ R - np.eye(3)).max())
-    if error > TOLERANCE or np.linalg.det(R) < 0.0:
-        raise DatasetError(
-            f"{where}: found a matrix that is no rotation (determinant {np.linalg.det(R):.6g}, "
-            f"R'R off by {error:.3g}), expected an orthonormal one of determinant 1"
-        )
+    try:
+        se3.check_rigid(T)
+    except ValueError as error:
+        raise DatasetError(f"{where}: {error}") from None
 
 
 def _write(path: Path, table: Array) -> None:

@@ -4,6 +4,7 @@ import csv
 import json
 import shutil
 import sqlite3
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +130,37 @@ def test_damaged_and_blind_frames_do_not_stop_a_run(sequence, tmp_path):
     assert len(read_tum(result.folder / "trajectory_optimized_tum.txt")) == 89
 
 
+def blinded(sequence, folder, n):
+    """Copy the first 12 frames, of which the first n show nothing."""
+    import cv2
+
+    folder.mkdir(parents=True)
+    for i, file in enumerate(sorted(sequence.glob("*.depth.png"))[:12]):
+        depth = np.zeros((480, 640), np.uint16) if i < n else cv2.imread(str(file), -1)
+        cv2.imwrite(str(folder / file.name), depth)
+        pose = file.name.replace("depth.png", "pose.txt")
+        shutil.copy(sequence / pose, folder / pose)
+    return folder
+
+
+def test_a_sequence_that_shows_nothing_leaves_everything_too(sequence, tmp_path):
+    result = run(blinded(sequence, tmp_path / "room" / "seq-01", 12), tmp_path / "runs")
+    assert {path.name for path in result.folder.iterdir()} == FILES
+    assert result.metrics["n_frames"] == result.metrics["n_frames_lost"] == 12
+    assert result.metrics["n_keyframes"] == result.metrics["n_parts"] == 0
+    assert len(read_tum(result.folder / "trajectory_optimized_tum.txt")) == 12
+    assert b"element vertex 0\n" in (result.folder / "map.ply").read_bytes()
+    assert "12 of 12 frames are lost" in (result.folder / "run.log").read_text()
+
+
+def test_a_sequence_may_begin_blind(sequence, tmp_path):
+    result = run(blinded(sequence, tmp_path / "room" / "seq-01", 10), tmp_path / "runs")
+    assert result.metrics["n_frames_lost"] == 10
+    assert result.metrics["n_odometry_lost"] == 0
+    assert result.metrics["n_keyframes"] == 1
+    assert len(read_tum(result.folder / "trajectory_optimized_tum.txt")) == 12
+
+
 def test_the_readme_s_two_calls(sequence):
     """The README's example, to the letter, beside an odometry of one's own."""
     readme = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
@@ -150,8 +182,29 @@ def test_stamps_must_grow():
     frame = DepthFrame(1.0, np.zeros((480, 640), np.uint16), KINECT)
     closer = LoopCloser.from_preset("indoor")
     closer.process(frame, np.eye(4))
-    with pytest.raises(ValueError, match="stamps must grow"):
-        closer.process(frame, np.eye(4))
+    for stamp_s in (1.0, 0.5, np.nan):
+        with pytest.raises(ValueError, match="stamps must grow"):
+            closer.process(replace(frame, stamp_s=stamp_s), np.eye(4))
+
+
+BAD_POSES = {
+    "NaN": np.full((4, 4), np.nan),
+    "rotation .determinant 8": np.diag([2.0, 2.0, 2.0, 1.0]),
+    "rotation .determinant -1": np.diag([-1.0, 1.0, 1.0, 1.0]),
+    r"\(4,\)": np.ones(4),
+}
+
+
+@pytest.mark.parametrize("name", ["indoor", "paper"])
+@pytest.mark.parametrize("found", BAD_POSES)
+def test_what_is_no_pose_is_named_and_does_no_harm(found, name, box_room_frame):
+    frames = [replace(box_room_frame, stamp_s=float(i)) for i in range(3)]
+    closer = LoopCloser.from_preset(name)
+    closer.process(frames[0], np.eye(4))
+    with pytest.raises(ValueError, match=rf"^T_odom_camera of frame 1, at 1.0 s: found .*{found}"):
+        closer.process(frames[1], BAD_POSES[found])
+    closer.process(frames[2], np.eye(4))
+    np.testing.assert_allclose(closer.finish().poses, [np.eye(4)] * 2, atol=1e-6)
 
 
 def test_nothing_in_nothing_out():
