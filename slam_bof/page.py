@@ -18,7 +18,8 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "rpe_odometry_m": ("RPE of odometry alone, 30 frames (RMSE)", "{:.4f} m"),
         "rpe_m": ("RPE with loops, 30 frames (RMSE)", "{:.4f} m"),
         "n_odometry_lost": ("times that odometry was lost", "{}"),
-        "n_parts": ("parts of the map that no loop has joined", "{}"),
+        "n_frames_lost": ("frames lost: not known where", "{}"),
+        "n_parts": ("parts of the map that no loop joined", "{}"),
     },
     "Loops and labels": {
         "n_candidates": ("pairs considered", "{}"),
@@ -40,9 +41,6 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
     "Input and cost": {
         "n_frames": ("frames", "{}"),
         "n_frames_skipped": ("frames skipped as unreadable", "{}"),
-        "n_odometry_lost": ("times that odometry was lost", "{}"),
-        "n_frames_lost": ("frames lost: not known where", "{}"),
-        "n_parts": ("parts of the map that no loop joined", "{}"),
         "n_keyframes": ("keyframes", "{}"),
         "fps": ("frames a second, all included", "{:.1f}"),
         "cpu_s": ("processor time", "{:.1f} s"),
