@@ -180,8 +180,11 @@ class LoopVerification:
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
         if parts[candidate.match_id] != parts[candidate.query_id]:
             return ""
-        between = T_map_camera[candidate.match_id : candidate.query_id + 1]
-        path_m = float(np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1).sum())
+        way = slice(candidate.match_id, candidate.query_id + 1)
+        between = T_map_camera[way]
+        steps_m = np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1)
+        # How far parts of the map are from each other says nothing of how far the camera went.
+        path_m = float(steps_m[np.diff(parts[way]) == 0].sum())
         moved_m, turned_rad = _size(
             se3.inverse(verified.T_match_query) @ se3.inverse(between[0]) @ between[-1]
         )
