@@ -34,7 +34,7 @@ class Stack:
 
     @property
     def rows(self) -> NDArray[Any]:
-        """The rows so far, (n, *shape); a view that later rows do not reach."""
+        """The rows so far, (n, *shape); a view, which rows that replace truncated ones change."""
         return self._block[: self._n]
 
     @property

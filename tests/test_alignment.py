@@ -60,6 +60,31 @@ def test_a_view_agrees_with_itself_altogether(pair):
     agreement = aligner.agreement(1, np.array([1]), np.eye(4)[None])
     assert agreement.seen.tolist() == [1.0]
     assert agreement.blocking.tolist() == [0.0]
+    assert agreement.compared.tolist() == [1.0]
+
+
+def test_what_falls_outside_the_other_view_is_not_compared(pair):
+    aligner, _ = pair
+    turned = se3.exp(np.array([[0, yaw, 0, 0, 0, 0] for yaw in (0.4, np.pi)]))
+    compared = aligner.agreement(1, np.array([1, 1]), turned).compared
+    assert 0.3 < compared[0] < 0.9
+    assert compared[1] == 0.0
+
+
+def test_truncated_views_are_forgotten_and_replaced(look, standpoint):
+    views = [make_view(look(upright(*standpoint, 1.3, yaw), 0))[0] for yaw in (0.0, 1.0, 2.0)]
+    aligner = ViewAligner(AlignmentParams())
+    aligner.truncate(1)  # of nothing
+    assert len(aligner) == 0
+    for view in views[:2]:
+        aligner.add(view)
+    aligner.truncate(1)
+    aligner.add(views[2])
+    assert len(aligner) == 2
+    afresh = ViewAligner(AlignmentParams())
+    for view in (views[0], views[2]):
+        afresh.add(view)
+    np.testing.assert_array_equal(aligner.points_camera(1), afresh.points_camera(1))
 
 
 def test_pairs_do_not_depend_on_their_company(pair):

@@ -22,6 +22,17 @@ def test_scalars_and_none_at_all():
     assert stack.rows.tolist() == [2.5]
 
 
+def test_truncated_rows_make_room_for_others():
+    stack = Stack((), np.int16)
+    for row in range(6):
+        stack.append(row)
+    stack.truncate(2)
+    assert stack.rows.tolist() == [0, 1]
+    stack.truncate(5)  # no more than there are
+    stack.append(9)
+    assert stack.rows.tolist() == [0, 1, 9]
+
+
 def test_a_row_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="broadcast"):
         Stack((2,), np.float32).append([1.0, 2.0, 3.0])

@@ -11,7 +11,7 @@ from slam_bof.synthetic.scene import KINECT, Scene3D
 from slam_bof.synthetic.sensor import SensorParams, sense
 from slam_bof.synthetic.tour import Waypoint, camera_poses, spin, walk
 from slam_bof.synthetic.views import training_views
-from slam_bof.synthetic.writer import is_complete, write_flat, write_sequence
+from slam_bof.synthetic.writer import write_flat, write_sequence
 
 __all__ = [
     "KINECT",
@@ -20,7 +20,6 @@ __all__ = [
     "SensorParams",
     "Waypoint",
     "camera_poses",
-    "is_complete",
     "make_brisk_tour",
     "make_corridor",
     "make_corridor_tour",

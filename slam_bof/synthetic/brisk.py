@@ -10,9 +10,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from slam_bof import se3
 from slam_bof.synthetic.flat import Flat, make_flat, make_tour
-from slam_bof.synthetic.scene import Scene3D
 from slam_bof.synthetic.tour import FRAME_RATE_HZ
-from slam_bof.synthetic.writer import Progress, is_complete, write_scene
+from slam_bof.synthetic.writer import Progress, write_scene
 from slam_bof.types import Array
 
 __all__ = ["BLACKOUT_S", "find_blackouts", "make_brisk_tour", "write_brisk_tour"]
@@ -83,17 +82,13 @@ def write_brisk_tour(folder: Path, *, seed: int = 0, progress: Progress | None =
     """
     flat = make_flat(seed)
     poses = make_brisk_tour(flat, seed=seed)
-    recipe: dict[str, object] = {"generation": _GENERATION, "kind": "brisk", "seed": seed}
-    target = folder / "brisk"
-    if not is_complete(target, recipe):
-        write_scene(
-            target,
-            "seq-01",
-            Scene3D(flat.mesh),
-            poses,
-            recipe=recipe,
-            dark=frozenset(find_blackouts(flat, poses).tolist()),
-            seed=seed,
-            progress=progress,
-        )
-    return target / "seq-01"
+    return write_scene(
+        folder / "brisk",
+        "seq-01",
+        flat.mesh,
+        poses,
+        recipe={"generation": _GENERATION, "kind": "brisk", "seed": seed},
+        dark=frozenset(find_blackouts(flat, poses).tolist()),
+        seed=seed,
+        progress=progress,
+    )

@@ -9,11 +9,10 @@ import numpy as np
 
 from slam_bof.synthetic.meshes import Mesh, box, merge
 from slam_bof.synthetic.rooms import make_room
-from slam_bof.synthetic.scene import Scene3D
 from slam_bof.synthetic.tour import walk
 from slam_bof.synthetic.visits import RoomPlace, clear_columns, doorway, visit, visit_all
 from slam_bof.synthetic.walls import WALL_THICKNESS_M, Opening
-from slam_bof.synthetic.writer import Progress, is_complete, write_scene
+from slam_bof.synthetic.writer import Progress, write_scene
 from slam_bof.types import Array
 
 __all__ = ["Corridor", "make_corridor", "make_corridor_tour", "write_corridor"]
@@ -130,24 +129,15 @@ def write_corridor(
     """
     corridor = make_corridor(n_rooms, seed=seed)
     poses = make_corridor_tour(corridor, seed=seed)
-    recipe: dict[str, object] = {
-        "generation": _GENERATION,
-        "kind": "corridor",
-        "seed": seed,
-        "n_rooms": n_rooms,
-    }
-    target = folder / "corridor"
-    if not is_complete(target, recipe):
-        write_scene(
-            target,
-            "seq-01",
-            Scene3D(corridor.mesh),
-            poses,
-            recipe=recipe,
-            seed=seed,
-            progress=progress,
-        )
-    return target / "seq-01"
+    return write_scene(
+        folder / "corridor",
+        "seq-01",
+        corridor.mesh,
+        poses,
+        recipe={"generation": _GENERATION, "kind": "corridor", "seed": seed, "n_rooms": n_rooms},
+        seed=seed,
+        progress=progress,
+    )
 
 
 def _place(number: int, edge: float) -> RoomPlace:

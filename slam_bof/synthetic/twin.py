@@ -17,9 +17,8 @@ from slam_bof.synthetic import furniture as f
 from slam_bof.synthetic.furnisher import Furnisher
 from slam_bof.synthetic.furniture import Maker
 from slam_bof.synthetic.meshes import Mesh, merge
-from slam_bof.synthetic.scene import Scene3D
 from slam_bof.synthetic.walls import Opening, shell
-from slam_bof.synthetic.writer import Progress, is_complete, write_scene
+from slam_bof.synthetic.writer import Progress, write_scene
 from slam_bof.types import Array, Pose
 
 __all__ = ["gravity_aligned", "make_twin_room", "read_poses", "write_twin"]
@@ -216,7 +215,7 @@ def write_twin(
     """
     numbers, given = read_poses(files, sequence)
     poses: Pose = gravity_aligned(given)
-    scene = Scene3D(make_twin_room(poses, seed=seed))
+    room = make_twin_room(poses, seed=seed)
     numbers, poses = numbers[:n_frames], poses[:n_frames]
     recipe: dict[str, object] = {
         "generation": _GENERATION,
@@ -233,15 +232,14 @@ def write_twin(
                 f"{target}: found the twin of {other.name}, expected none or that of {sequence}; "
                 "choose another folder"
             )
-    if not is_complete(target, recipe):
-        write_scene(
-            target,
-            sequence,
-            scene,
-            poses,
-            recipe=recipe,
-            frame_numbers=numbers,
-            seed=seed,
-            progress=progress,
-        )
-    return target / sequence, numbers[-1] - numbers[0] + 1 - len(numbers)
+    written = write_scene(
+        target,
+        sequence,
+        room,
+        poses,
+        recipe=recipe,
+        frame_numbers=numbers,
+        seed=seed,
+        progress=progress,
+    )
+    return written, numbers[-1] - numbers[0] + 1 - len(numbers)

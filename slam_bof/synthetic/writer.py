@@ -17,11 +17,12 @@ import numpy as np
 
 from slam_bof.errors import DatasetError
 from slam_bof.synthetic.flat import make_flat, make_tour
+from slam_bof.synthetic.meshes import Mesh
 from slam_bof.synthetic.scene import Scene3D, View
 from slam_bof.synthetic.sensor import SensorParams, sense
 from slam_bof.types import Array, Pose
 
-__all__ = ["Progress", "is_complete", "write_flat", "write_sequence"]
+__all__ = ["Progress", "write_flat", "write_scene", "write_sequence"]
 
 Progress = Callable[[int, int], None]
 """Called with the number of frames written and to be written."""
@@ -64,24 +65,19 @@ def write_flat(
     """
     flat = make_flat(seed)
     poses = make_tour(flat, seed=seed)[:n_frames]
-    recipe = {"generation": _GENERATION, "kind": "flat", "seed": seed, "n_frames": len(poses)}
-    target = folder / "flat"
-    if not is_complete(target, recipe):
-        labels = [flat.kind_at(x, y) for x, y in poses[:, :2, 3]]
-        write_scene(
-            target,
-            "seq-01",
-            Scene3D(flat.mesh),
-            poses,
-            recipe=recipe,
-            labels=labels,
-            seed=seed,
-            progress=progress,
-        )
-    return target / "seq-01"
+    return write_scene(
+        folder / "flat",
+        "seq-01",
+        flat.mesh,
+        poses,
+        recipe={"generation": _GENERATION, "kind": "flat", "seed": seed, "n_frames": len(poses)},
+        labels=[flat.kind_at(x, y) for x, y in poses[:, :2, 3]],
+        seed=seed,
+        progress=progress,
+    )
 
 
-def is_complete(folder: Path, recipe: dict[str, object]) -> bool:
+def _is_complete(folder: Path, recipe: dict[str, object]) -> bool:
     """Tell whether a scene folder was written to its end, from this very recipe."""
     try:
         return bool(json.loads((folder / _RECIPE).read_text("utf-8")) == recipe)
@@ -92,7 +88,7 @@ def is_complete(folder: Path, recipe: dict[str, object]) -> bool:
 def write_scene(
     folder: Path,
     sequence: str,
-    scene: Scene3D,
+    mesh: Mesh,
     poses: Array,
     *,
     recipe: dict[str, object],
@@ -102,14 +98,34 @@ def write_scene(
     seed: int = 0,
     sensor: SensorParams | None = None,
     progress: Progress | None = None,
-) -> None:
-    """Write a scene folder of one sequence, all or nothing.
+) -> Path:
+    """Write a scene folder of one sequence, all or nothing, unless it is there already.
+
+    Parameters
+    ----------
+    folder, sequence
+        The scene's, made if missing, and the name of the one in it, such as ``seq-01``.
+    mesh, poses
+        What is seen, and ``T_world_camera`` (N, 4, 4).
+    recipe
+        What the bytes depend on; one that was written from this very recipe is left as it is.
+    frame_numbers, dark, seed, sensor, progress
+        As ``write_sequence`` takes them.
+    labels
+        (N,) true scene labels, for a ``scenes.csv``.
+
+    Returns
+    -------
+    Path
+        The sequence's folder.
 
     Raises
     ------
     DatasetError
         If the folder exists and holds something else than a synthetic scene.
     """
+    if _is_complete(folder, recipe):
+        return folder / sequence
     if folder.exists() and not (folder / _RECIPE).is_file():
         raise DatasetError(
             f"{folder}: found files of somebody else's, expected nothing or a synthetic scene"
@@ -120,7 +136,7 @@ def write_scene(
         building.chmod(0o755)
         write_sequence(
             building / sequence,
-            scene,
+            Scene3D(mesh),
             poses,
             frame_numbers=frame_numbers,
             dark=dark,
@@ -140,6 +156,7 @@ def write_scene(
         building.rename(folder)
     finally:
         shutil.rmtree(building, ignore_errors=True)
+    return folder / sequence
 
 
 def write_sequence(

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from verifiers import assert_order_is_kept, verify
 
 from slam_bof import se3
 from slam_bof.points import PointParams, points_camera
@@ -33,12 +34,6 @@ def verifier():
 
 def prepare(verifier, points):
     return verifier.prepare(FRAME, points)
-
-
-def verify(verifier, query, match, guess=None, seed=0):
-    guesses = None if guess is None else guess[None]
-    (verified,) = verifier.verify(query, [match], T_match_query=guesses, seed=seed)
-    return verified
 
 
 def assert_golden(verified, T_match_query):
@@ -127,15 +122,6 @@ def test_too_few_points_are_an_answer(verifier, golden, n_points):
 
 
 def test_many_matches_are_verified_in_their_order(verifier, golden):
-    query, match, behind, T_match_query = golden
-    prepared = [prepare(verifier, points) for points in (query, match, behind)]
-    query, *matches = prepared
-    guesses = np.stack([T_match_query, se3.pose(np.eye(3), [0.0, 0.0, 20.0])])
-    together = verifier.verify(query, matches, T_match_query=guesses)
-    assert [v.accepted for v in together] == [True, False]
-    for verified, match, guess in zip(together, matches, guesses, strict=True):
-        alone = verify(verifier, query, match, guess)
-        np.testing.assert_allclose(verified.T_match_query, alone.T_match_query, atol=1e-4)
-        assert verified.overlap == pytest.approx(alone.overlap, abs=2e-3)
-    assert verifier.verify(query, []) == []
-    assert verifier.verify(query, [], T_match_query=np.empty((0, 4, 4))) == []
+    *points, T_match_query = golden
+    prepared = [prepare(verifier, some) for some in points]
+    assert_order_is_kept(verifier, *prepared, T_match_query)

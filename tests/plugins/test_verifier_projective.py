@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from verifiers import assert_order_is_kept, verify
 
 from slam_bof import se3
 from slam_bof.points import PointParams, points_camera
@@ -24,12 +25,6 @@ def golden(look, standpoint):
 def prepare(verifier, *frames):
     points = PointParams(stride=4)
     return [verifier.prepare(frame, points_camera(frame, points)) for frame in frames]
-
-
-def verify(verifier, query, match, guess=None, seed=0):
-    guesses = None if guess is None else guess[None]
-    (verified,) = verifier.verify(query, [match], T_match_query=guesses, seed=seed)
-    return verified
 
 
 def assert_golden(verified, T_match_query):
@@ -115,16 +110,6 @@ def test_blind_frames_are_rejected(golden):
 
 
 def test_many_matches_are_verified_in_their_order(golden):
-    *_, T_match_query = golden
+    *frames, T_match_query = golden
     verifier = ProjectiveVerifier()
-    prepared = prepare(verifier, *golden[:3])
-    query, *matches = prepared
-    guesses = np.stack([T_match_query, se3.pose(np.eye(3), [0.0, 0.0, 20.0])])
-    together = verifier.verify(query, matches, T_match_query=guesses)
-    assert [v.accepted for v in together] == [True, False]
-    for verified, match, guess in zip(together, matches, guesses, strict=True):
-        alone = verify(verifier, query, match, guess)
-        np.testing.assert_allclose(verified.T_match_query, alone.T_match_query, atol=1e-4)
-        assert verified.overlap == pytest.approx(alone.overlap, abs=2e-3)
-    assert verifier.verify(query, []) == []
-    assert verifier.verify(query, [], T_match_query=np.empty((0, 4, 4))) == []
+    assert_order_is_kept(verifier, *prepare(verifier, *frames), T_match_query)
