@@ -46,6 +46,8 @@ class AlignmentParams(Params):
     n_fine_iterations: int = Field(8, ge=0, description="of which the last look at all points")
     n_coarse_points: int = Field(1000, gt=0, description="that the others look at")
     gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
+    rest: float = Field(1e-3, ge=0, description="rad and m; who moves less waits for ...")
+    n_last_iterations: int = Field(2, ge=0, description="... so many iterations at the end")
     tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
 
 
@@ -124,15 +126,25 @@ class ViewAligner:
         return self.refine(query, matches, self._search(query, matches, starts.astype(np.float32)))
 
     def refine(self, query: int, matches: Indices, T_match_query: Floats) -> Array:
-        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch."""
+        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch.
+
+        Pairs that have come to rest wait for the last iterations, whose gates are the narrowest.
+        """
         p = self.params
         T: Floats = T_match_query.astype(np.float32)
+        moving = np.ones(len(matches), np.bool_)
         for k, gate_m in enumerate(np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32)):
             fine = k >= p.n_iterations - p.n_fine_iterations
             n_points = p.n_points if fine else min(p.n_points, p.n_coarse_points)
-            for some in _chunks(len(matches), n_points):
-                found = self._associate(query, matches[some], T[some], gate_m, n_points)
-                T[some] = _exp(_step(found, gate_m)) @ T[some]
+            if k >= p.n_iterations - p.n_last_iterations:
+                moving[:] = True
+            left = np.flatnonzero(moving)
+            for some in _chunks(len(left), n_points):
+                pairs = left[some]
+                found = self._associate(query, matches[pairs], T[pairs], gate_m, n_points)
+                steps = _step(found, gate_m)
+                T[pairs] = _exp(steps) @ T[pairs]
+                moving[pairs] = np.abs(steps).max(axis=1) > p.rest
         return T.astype(np.float64)
 
     def surface_pairs(

@@ -1,4 +1,4 @@
-"""Import Open3D so that it works everywhere and gives the same bytes every time."""
+"""Native libraries: Open3D so that it works everywhere, and each on one thread."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import ModuleType
 
-__all__ = ["import_open3d"]
+from threadpoolctl import ThreadpoolController
+
+__all__ = ["import_open3d", "one_blas_thread"]
 
 
 @functools.cache
@@ -30,6 +32,23 @@ def import_open3d() -> ModuleType:
 
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     return open3d
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Hold NumPy's products to one thread, within a ``with`` block or a decorated function.
+
+    Matrices here are small: a second thread doubles the CPU time, waiting for its share, and
+    takes hardly anything off the wall's.
+    """
+    with _blas().limit(limits=1, user_api="blas"):
+        yield
+
+
+@functools.cache
+def _blas() -> ThreadpoolController:
+    """Return the libraries loaded so far; to find them takes longer than most products."""
+    return ThreadpoolController()
 
 
 @contextmanager

@@ -19,11 +19,12 @@ from pydantic import Field
 from slam_bof import se3
 from slam_bof.alignment import Agreement, AlignmentParams, ViewAligner
 from slam_bof.gravity import GravityTracker, level_frame
+from slam_bof.native import one_blas_thread
 from slam_bof.panorama import Panorama
 from slam_bof.slices import Slices
 from slam_bof.stack import Stack
 from slam_bof.types import Array, DepthFrame, Params, Pose
-from slam_bof.views import make_view
+from slam_bof.views import make_view, view_points
 
 __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
 
@@ -113,15 +114,16 @@ class PlaceRecogniser:
         """Return the number of views remembered."""
         return len(self._panoramas)
 
+    @one_blas_thread()
     def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
         """Remember a view, and return its id: 0, 1, 2 ..."""
-        view, points_camera = make_view(frame)
+        view = make_view(frame)
         normals = view.normals_camera[view.normals_camera.any(axis=-1)]
         R = level_frame(self._gravity.update(normals, T_odom_camera)).astype(np.float32)
         self._aligner.add(view)
         self._T_odom_camera.append(T_odom_camera)
         self._R_level_camera.append(R)
-        self._panoramas.append(self._panorama.spectrum(points_camera @ R.T))
+        self._panoramas.append(self._panorama.spectrum(view_points(frame) @ R.T))
         view_id = len(self) - 1
         self._plans.append(self._slices.spectra(self._points_level(view_id), np.zeros(1))[0])
         return view_id
@@ -142,6 +144,7 @@ class PlaceRecogniser:
         """Return the first ``n_views`` views that may show what this one does, best first."""
         return self.rank(view_id, self.retrieve(view_id, n_views))
 
+    @one_blas_thread()
     def retrieve(self, view_id: int, n_views: int) -> Shortlist:
         """Return which of the first ``n_views`` views look alike, unaligned."""
         p = self.params
@@ -161,6 +164,7 @@ class PlaceRecogniser:
         still = np.broadcast_to(np.eye(4), moved.shape)
         return Shortlist(scores, some[best], np.stack([moved, still], axis=1))
 
+    @one_blas_thread()
     def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
         """Align the view with those of a shortlist and those that it follows, and rank them.
 

@@ -18,6 +18,7 @@ from slam_bof.errors import DatasetError
 from slam_bof.keyframes import KeyframeSelector
 from slam_bof.loops import LoopCounts, LoopDetector
 from slam_bof.model import Model
+from slam_bof.native import one_blas_thread
 from slam_bof.parts import MapParts
 from slam_bof.points import PointParams, points_camera
 from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry
@@ -128,6 +129,7 @@ class LoopCloser:
             clock=clock,
         )
 
+    @one_blas_thread()
     def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
         """Take a frame and its odometry pose (4, 4); answer with the map's correction.
 

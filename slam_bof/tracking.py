@@ -117,7 +117,7 @@ class Tracker:
 
     def _look(self, frame: DepthFrame) -> View | None:
         """Return the frame's view if it shows enough."""
-        view, _ = make_view(frame)
+        view = make_view(frame)
         n_known = np.count_nonzero(view.depth_m)
         return view if n_known >= self.params.min_pixels * view.depth_m.size else None
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.points import PointParams, points_camera_f32
 from slam_bof.types import DepthFrame, Intrinsics
 
-__all__ = ["View", "make_view"]
+__all__ = ["View", "make_view", "view_points"]
 
 WIDTH_PX = 160
-"""About so wide is the image that points are taken of; alignment sees every second of them."""
+"""About so wide is the image that points are taken of; a view has every second of its pixels."""
 MIN_RANGE_M = 0.1
 MAX_RANGE_M = 8.0
 """Depths outside are dropped."""
@@ -37,15 +39,28 @@ class View:
         return _rays(self.intrinsics)
 
 
-def make_view(frame: DepthFrame) -> tuple[View, NDArray[np.float32]]:
-    """Return the small view of a frame, and the points (N, 3) of twice as fine a grid."""
-    stride = max(1, round(frame.intrinsics.width / WIDTH_PX))
+@lru_cache(maxsize=1)
+def make_view(frame: DepthFrame) -> View:
+    """Return the small view of a frame, read-only.
+
+    The last one is kept: tracking, recognition and verification each look at the same frame.
+    """
+    stride = 2 * _stride(frame.intrinsics)
     depth_m = frame.depth_m(stride)
     depth_m[(depth_m < MIN_RANGE_M) | (depth_m > MAX_RANGE_M)] = 0.0
-    points = _rays(_shrunk(frame.intrinsics, stride)) * depth_m[..., None]
-    normals = surface_normals(np.ascontiguousarray(points[::2, ::2]))
-    view = View(depth_m[::2, ::2], normals, _shrunk(frame.intrinsics, 2 * stride))
-    return view, points[depth_m > 0]
+    camera = _shrunk(frame.intrinsics, stride)
+    normals = surface_normals(_rays(camera) * depth_m[..., None])
+    for shared in (depth_m, normals):
+        shared.setflags(write=False)
+    return View(depth_m, normals, camera)
+
+
+def view_points(frame: DepthFrame) -> NDArray[np.float32]:
+    """Return the frame's points (N, 3) of a grid twice as fine as its view's."""
+    fine = PointParams(
+        stride=_stride(frame.intrinsics), min_range_m=MIN_RANGE_M, max_range_m=MAX_RANGE_M
+    )
+    return points_camera_f32(frame, fine)
 
 
 def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -53,23 +68,35 @@ def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
 
     Each is square to the lines between the pixel's neighbours, left to right and top to bottom.
     """
-    normals = np.zeros_like(points)
-    depth = points[..., 2]
-    known = depth > 0
-    across = points[1:-1, 2:] - points[1:-1, :-2]
-    along = points[2:, 1:-1] - points[:-2, 1:-1]
-    square = np.cross(along, across)
-    length = np.linalg.norm(square, axis=-1)
-    step = MAX_SLOPE * (1.0 + depth[1:-1, 1:-1])
+    x, y, z = np.ascontiguousarray(np.moveaxis(points, -1, 0))
+    across = [c[1:-1, 2:] - c[1:-1, :-2] for c in (x, y, z)]
+    along = [c[2:, 1:-1] - c[:-2, 1:-1] for c in (x, y, z)]
+    square = np.stack(
+        [
+            along[1] * across[2] - along[2] * across[1],
+            along[2] * across[0] - along[0] * across[2],
+            along[0] * across[1] - along[1] * across[0],
+        ],
+        axis=-1,
+    )
+    length = np.sqrt((square * square).sum(axis=-1))
+    known = z > 0
+    step = MAX_SLOPE * (1.0 + z[1:-1, 1:-1])
     smooth = (
         known[1:-1, 1:-1]
         & (known[1:-1, 2:] & known[1:-1, :-2] & known[2:, 1:-1] & known[:-2, 1:-1])
-        & (np.abs(across[..., 2]) < step)
-        & (np.abs(along[..., 2]) < step)
+        & (np.abs(across[2]) < step)
+        & (np.abs(along[2]) < step)
         & (length > 0)
     )
-    normals[1:-1, 1:-1][smooth] = square[smooth] / length[smooth, None]
+    normals = np.zeros_like(points)
+    np.divide(square, length[..., None], out=normals[1:-1, 1:-1], where=smooth[..., None])
     return normals
+
+
+def _stride(camera: Intrinsics) -> int:
+    """Return the stride that makes an image about ``WIDTH_PX`` wide."""
+    return max(1, round(camera.width / WIDTH_PX))
 
 
 def _shrunk(camera: Intrinsics, stride: int) -> Intrinsics:
@@ -84,8 +111,11 @@ def _shrunk(camera: Intrinsics, stride: int) -> Intrinsics:
     )
 
 
+@lru_cache(maxsize=4)
 def _rays(camera: Intrinsics) -> NDArray[np.float32]:
     """Return what a pixel's depth is multiplied by to make its point, (h, w, 3)."""
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height) - camera.cy) / camera.fy
-    return np.dstack([*np.meshgrid(x, y), np.ones((len(y), len(x)))]).astype(np.float32)
+    rays = np.dstack([*np.meshgrid(x, y), np.ones((len(y), len(x)))]).astype(np.float32)
+    rays.setflags(write=False)
+    return rays

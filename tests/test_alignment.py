@@ -21,7 +21,7 @@ def pair(look, standpoint):
     query = upright(standpoint[0] + 0.3, standpoint[1] - 0.15, 1.4, 1.1)
     aligner = ViewAligner(AlignmentParams())
     for index, T in enumerate((match, query)):
-        aligner.add(make_view(look(T, index))[0])
+        aligner.add(make_view(look(T, index)))
     return aligner, se3.inverse(match) @ query
 
 
@@ -72,7 +72,7 @@ def test_what_falls_outside_the_other_view_is_not_compared(pair):
 
 
 def test_truncated_views_are_forgotten_and_replaced(look, standpoint):
-    views = [make_view(look(upright(*standpoint, 1.3, yaw), 0))[0] for yaw in (0.0, 1.0, 2.0)]
+    views = [make_view(look(upright(*standpoint, 1.3, yaw), 0)) for yaw in (0.0, 1.0, 2.0)]
     aligner = ViewAligner(AlignmentParams())
     aligner.truncate(1)  # of nothing
     assert len(aligner) == 0
@@ -95,10 +95,10 @@ def test_pairs_do_not_depend_on_their_company(pair):
     np.testing.assert_allclose(together[1], np.eye(4), atol=1e-3)
 
 
-def test_a_view_of_nothing_aligns_with_nothing(pair):
+def test_a_view_of_nothing_aligns_with_nothing(pair, look, standpoint):
     _, T_match_query = pair
     aligner = ViewAligner(AlignmentParams())
-    camera = pair[0]._views._camera
+    camera = make_view(look(upright(*standpoint, 1.3, 0.8), 0)).intrinsics
     empty = np.zeros((camera.height, camera.width), np.float32)
     for _ in range(2):
         aligner.add(View(empty, np.zeros((*empty.shape, 3), np.float32), camera))
@@ -110,14 +110,14 @@ def test_a_view_of_nothing_aligns_with_nothing(pair):
 
 def test_points_are_kept(pair, look, standpoint):
     aligner, _ = pair
-    view, _ = make_view(look(upright(*standpoint, 1.3, 0.8), 0))
+    view = make_view(look(upright(*standpoint, 1.3, 0.8), 0))
     expected = (view.rays() * view.depth_m[..., None])[view.depth_m > 0]
     np.testing.assert_allclose(aligner.points_camera(0), expected, rtol=1e-6)
 
 
 def test_another_camera_is_refused(pair):
     camera = Intrinsics(160, 120, 130.0, 130.0, 80.0, 60.0)
-    view, _ = make_view(DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), camera))
+    view = make_view(DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), camera))
     with pytest.raises(ValueError, match=r"views must be of Intrinsics.*, got Intrinsics.*65\.0"):
         pair[0].add(view)
 
@@ -125,7 +125,7 @@ def test_another_camera_is_refused(pair):
 def test_few_points_first_lead_to_where_all_do(look, standpoint, pair):
     _, T_match_query = pair
     match = upright(*standpoint, 1.3, 0.8)
-    views = [make_view(look(T, k))[0] for k, T in enumerate((match, match @ T_match_query))]
+    views = [make_view(look(T, k)) for k, T in enumerate((match, match @ T_match_query))]
     start = T_match_query @ se3.exp(np.array([0.03, -0.04, 0.02, 0.06, 0.03, -0.05]))
     found = []
     for n_fine in (4, 12):
@@ -136,3 +136,23 @@ def test_few_points_first_lead_to_where_all_do(look, standpoint, pair):
         found.append(aligner.refine(1, ONE, start[None])[0])
         assert error(found[-1], T_match_query)[0] < 0.02
     assert error(*found)[0] < 0.005
+
+
+def test_pairs_that_rest_on_the_way_end_where_restless_ones_do(look, standpoint, pair):
+    _, T_match_query = pair
+    match = upright(*standpoint, 1.3, 0.8)
+    views = [make_view(look(T, k)) for k, T in enumerate((match, match @ T_match_query))]
+    far = T_match_query @ se3.exp(np.array([0.03, -0.04, 0.02, 0.06, 0.03, -0.05]))
+    near = T_match_query @ se3.exp(np.full(6, 0.002))
+    found = []
+    for rest in (0.0, AlignmentParams().rest):
+        aligner = ViewAligner(
+            AlignmentParams(n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), rest=rest)
+        )
+        for view in views:
+            aligner.add(view)
+        found.append(aligner.refine(1, np.array([0, 0, 1]), np.stack([far, near, np.eye(4)])))
+    for restless, rested in zip(*found, strict=True):
+        moved_m, turned_deg = error(rested, restless)
+        assert moved_m < 0.003
+        assert turned_deg < 0.1

@@ -27,7 +27,7 @@ def test_gravity_is_found_within_two_degrees(look, standpoint):
     first, *_ = every = list(poses(standpoint))
     tracker = GravityTracker()
     for index, T_world_camera in enumerate(every):
-        view, _ = make_view(look(T_world_camera, index))
+        view = make_view(look(T_world_camera, index))
         normals = view.normals_camera[view.normals_camera.any(axis=-1)]
         T_odom_camera = np.linalg.inv(first) @ T_world_camera
         down = tracker.update(normals, T_odom_camera)
@@ -37,7 +37,7 @@ def test_gravity_is_found_within_two_degrees(look, standpoint):
 def test_a_lost_odometry_is_noticed(look, standpoint):
     tracker = GravityTracker()
     for index, T_world_camera in enumerate(poses(standpoint)):
-        view, _ = make_view(look(T_world_camera, index))
+        view = make_view(look(T_world_camera, index))
         normals = view.normals_camera[view.normals_camera.any(axis=-1)]
         rolled = np.eye(4)
         rolled[:3, :3] = Rotation.from_euler(

@@ -1,4 +1,4 @@
-"""Open3D's library, on machines with a libusb and without; each in its own interpreter."""
+"""Open3D's library, on machines with a libusb and without, in interpreters of their own; BLAS."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ import subprocess
 import sys
 
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from slam_bof.native import one_blas_thread
 
 MAPPED = (
     "import pathlib\n"
@@ -72,3 +75,22 @@ def test_open3d_computes_with_one_thread_and_gives_the_cpus_back() -> None:
         "after = os.sched_getaffinity(0) if hasattr(os, 'sched_getaffinity') else None\n"
         "assert before == after, (before, after)\n"
     )
+
+
+def blas_threads() -> list[int]:
+    return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+
+def test_blas_has_one_thread_within_and_what_it_had_before_after() -> None:
+    @one_blas_thread()
+    def within() -> list[int]:
+        return blas_threads()
+
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        assert set(before) == {2}
+        assert set(within()) == {1}
+        assert blas_threads() == before
+        with pytest.raises(KeyError), one_blas_thread():
+            raise KeyError
+        assert blas_threads() == before

@@ -3,7 +3,7 @@ import pytest
 from conftest import CAMERA, box_room_depth_mm
 
 from slam_bof.types import DepthFrame, Intrinsics
-from slam_bof.views import make_view, surface_normals
+from slam_bof.views import make_view, surface_normals, view_points
 
 
 def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
@@ -11,7 +11,7 @@ def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
     T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
     T[:3, 3] = [*standpoint, 1.3]
     frame = look(T, 0)
-    view, points_camera = make_view(frame)
+    view, points_camera = make_view(frame), view_points(frame)
     assert (view.intrinsics.width, view.intrinsics.height) == (80, 60)
     np.testing.assert_array_equal(view.depth_m, frame.depth_m(8))
     assert len(points_camera) == np.count_nonzero(frame.depth_m(4))
@@ -26,7 +26,7 @@ def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
 def test_other_image_sizes_become_about_as_small(width, height):
     camera = Intrinsics(width, height, width * 0.9, width * 0.9, width / 2, height / 2)
     frame = DepthFrame(0.0, np.full((height, width), 2.0, np.float32), camera)
-    view, points_camera = make_view(frame)
+    view, points_camera = make_view(frame), view_points(frame)
     assert view.depth_m.shape == (view.intrinsics.height, view.intrinsics.width)
     assert 40 <= view.intrinsics.width <= 110
     across = points_camera[:, 0].max() - points_camera[:, 0].min()
@@ -37,7 +37,8 @@ def test_depths_out_of_range_are_dropped():
     camera = Intrinsics(80, 60, 70.0, 70.0, 40.0, 30.0)
     depth = np.full((60, 80), 9.0, np.float32)
     depth[:30] = 0.05
-    view, points_camera = make_view(DepthFrame(0.0, depth, camera))
+    frame = DepthFrame(0.0, depth, camera)
+    view, points_camera = make_view(frame), view_points(frame)
     assert not view.depth_m.any()
     assert not view.normals_camera.any()
     assert points_camera.shape == (0, 3)
@@ -45,7 +46,7 @@ def test_depths_out_of_range_are_dropped():
 
 def test_normals_of_a_box_room_are_those_of_its_walls():
     depth = box_room_depth_mm(CAMERA, np.eye(4), (1.0, 0.8, 3.0))
-    view, _ = make_view(DepthFrame(0.0, depth, CAMERA))
+    view = make_view(DepthFrame(0.0, depth, CAMERA))
     normals = view.normals_camera
     np.testing.assert_allclose(normals[30, 40], [0, 0, -1], atol=0.02)  # the wall ahead
     np.testing.assert_allclose(normals[55, 40], [0, -1, 0], atol=0.02)  # the floor; y is down
@@ -65,3 +66,14 @@ def test_normals_are_not_taken_over_edges_and_holes():
     assert known[1, 1:4].all()
     assert not known[0].any()
     assert not known[:, 0].any()
+
+
+def test_one_view_serves_all_who_look_at_a_frame(look):
+    frame, other = look(np.eye(4), 0), look(np.eye(4), 1)
+    view = make_view(frame)
+    assert make_view(frame) is view
+    assert make_view(other) is not view
+    with pytest.raises(ValueError, match="read-only"):
+        view.depth_m[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        view.normals_camera[0, 0] = 1.0

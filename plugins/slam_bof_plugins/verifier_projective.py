@@ -41,8 +41,7 @@ class ProjectiveVerifier:
 
     def prepare(self, frame: DepthFrame, points_camera: Array) -> int:
         """Keep a small view of the frame; return its number."""
-        view, _ = make_view(frame)
-        self._aligner.add(view)
+        self._aligner.add(make_view(frame))
         self._n_views += 1
         return self._n_views - 1
 
