@@ -7,6 +7,7 @@ what either part has seen must not stand where the other has looked through.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -61,26 +62,30 @@ class JoinGate:
             loop for loop in self._pending if parts[loop.query_id] != parts[loop.match_id]
         ]
         for loop in loops:
-            between = parts[loop.query_id], parts[loop.match_id]
-            agreeing = [
-                other
-                for other in self._pending
-                if (parts[other.query_id], parts[other.match_id]) == between
-                and agree(loop, other, T_map_camera, p.max_distance_m, p.max_angle_rad)
-            ]
+            seen_from = _from_younger(loop, parts)
+            between = parts[seen_from.query_id], parts[seen_from.match_id]
             self._pending.append(loop)
-            agreeing.append(loop)
-            if self._is_enough(agreeing, T_map_camera) and self._is_free(loop, T_map_camera, parts):
+            agreeing, witnesses = [], []
+            for other in self._pending:
+                witness = _from_younger(other, parts)
+                if (parts[witness.query_id], parts[witness.match_id]) == between and agree(
+                    seen_from, witness, T_map_camera, p.max_distance_m, p.max_angle_rad
+                ):
+                    agreeing.append(other)
+                    witnesses.append(witness)
+            if (
+                len({other.query_id for other in agreeing}) >= p.n_required
+                and self._has_looked_about(witnesses, T_map_camera)
+                and self._is_free(seen_from, T_map_camera, parts)
+            ):
                 self._pending = [other for other in self._pending if other not in agreeing]
                 return agreeing
         return []
 
-    def _is_enough(self, loops: list[Loop], T_map_camera: Array) -> bool:
-        """Tell whether these are of enough keyframes, and see enough of the place."""
+    def _has_looked_about(self, loops: list[Loop], T_map_camera: Array) -> bool:
+        """Tell whether the queries, all of one part, see enough of the place."""
         p = self.params
         query_ids = sorted({loop.query_id for loop in loops})
-        if len(query_ids) < p.n_required:
-            return False
         T = se3.inverse(T_map_camera[query_ids[0]]) @ T_map_camera[query_ids]
         walked_m = np.linalg.norm(T[:, :3, 3], axis=1).max()
         return bool(se3.rotation_angle(T).max() >= p.look_about_rad or walked_m >= p.walk_about_m)
@@ -112,3 +117,15 @@ class JoinGate:
             blocking += float(found.blocking.sum())
             compared += float(found.compared.sum())
         return blocking <= p.max_blocking * compared
+
+
+def _from_younger(loop: Loop, parts: NDArray[np.integer[Any]]) -> Loop:
+    """Return the loop with its query in the younger part; its information, unused, stays."""
+    if parts[loop.query_id] > parts[loop.match_id]:
+        return loop
+    return replace(
+        loop,
+        query_id=loop.match_id,
+        match_id=loop.query_id,
+        T_match_query=se3.inverse(loop.T_match_query),
+    )

@@ -102,3 +102,25 @@ def test_a_third_part_bears_no_witness(looked_about):
     gate = JoinGate(JoinParams(n_required=3, look_about_rad=0.0), Compare())
     assert admit(gate, [loop(looked_about, i) for i in (1, 3, 8, 10)], looked_about, parts) == []
     assert len(admit(gate, [loop(looked_about, 11)], looked_about, parts)) == 3
+
+
+def test_loops_back_from_the_older_part_bear_witness_as_well(looked_about):
+    """A place of the younger part seen again once the camera is back in the older one."""
+    poses = np.concatenate([looked_about, looked_about[:N]])
+    parts = np.repeat([0, 1, 0], N)
+    gate = JoinGate(JoinParams(), Compare())
+    there = [loop(looked_about, i) for i in (0, 3)]
+    back = [Loop(2 * N + i, N + i, np.eye(4), np.eye(6), "loop", "view") for i in (6, 9)]
+    assert admit(gate, [*there, back[0]], poses, parts) == []
+    assert admit(gate, back[1:], poses, parts) == [(0, 0), (3, 3), (N + 6, N + 6), (N + 9, N + 9)]
+
+
+def test_one_keyframe_is_one_witness_however_many_it_recognises(looked_about):
+    poses = np.concatenate([looked_about, looked_about[:1]])
+    parts = np.array([0] * N + [1] * N + [0])
+    gate = JoinGate(JoinParams(), Compare())
+    seen = [
+        Loop(2 * N, N + i, se3.inverse(looked_about[i]) @ poses[-1], np.eye(6), "loop", "view")
+        for i in range(N)
+    ]
+    assert gate.admit(seen, poses, parts) == []
