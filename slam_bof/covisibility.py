@@ -14,6 +14,9 @@ from slam_bof.types import Array, Intrinsics, Params, Pose
 
 __all__ = ["CovisibilityParams", "choose_covisible", "view_overlap"]
 
+CHUNK = 64
+"""Views looked into at a time, that what is computed stays in the cache."""
+
 
 class CovisibilityParams(Params):
     """How many edges a keyframe gets, and what counts as seeing the same."""
@@ -47,21 +50,24 @@ def view_overlap(
     Array
         (K,) shares in [0, 1].
     """
-    if len(points_camera) == 0 or len(T_map_others) == 0:
-        return np.zeros(len(T_map_others))
+    overlaps = np.zeros(len(T_map_others))
+    if len(points_camera) == 0:
+        return overlaps
+    # Camera and pose in one make x and y times the focal length, and depth: (3, K, 4).
+    camera = intrinsics
     T_others_camera = se3.inverse(T_map_others) @ T_map_camera
-    x, y, z = np.moveaxis(
-        points_camera @ np.swapaxes(T_others_camera[:, :3, :3], -1, -2)
-        + T_others_camera[:, None, :3, 3],
-        -1,
-        0,
-    )
-    in_front = (z > 0.0) & (z < max_range_m)
-    depth = np.where(in_front, z, 1.0)
-    u = intrinsics.fx * x / depth + intrinsics.cx
-    v = intrinsics.fy * y / depth + intrinsics.cy
-    inside = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
-    return np.asarray((in_front & inside).mean(axis=1))
+    scale = np.array([camera.fx, camera.fy, 1.0])
+    project = (T_others_camera[:, :3] * scale[:, None]).transpose(1, 0, 2).astype(np.float32)
+    points = np.concatenate([points_camera.T, np.ones((1, len(points_camera)))], dtype=np.float32)
+    for start in range(0, len(overlaps), CHUNK):
+        some = slice(start, start + CHUNK)
+        n = len(overlaps[some])
+        x, y, z = (project[:, some].reshape(-1, 4) @ points).reshape(3, n, -1)
+        inside = (z > 0.0) & (z < max_range_m)
+        inside &= (x >= -camera.cx * z) & (x < (camera.width - camera.cx) * z)
+        inside &= (y >= -camera.cy * z) & (y < (camera.height - camera.cy) * z)
+        overlaps[some] = inside.mean(axis=1)
+    return overlaps
 
 
 def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:

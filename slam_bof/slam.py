@@ -29,6 +29,7 @@ from slam_bof.types import (
     Array,
     Candidate,
     DepthFrame,
+    Intrinsics,
     Keyframe,
     Loop,
     Pose,
@@ -84,6 +85,7 @@ class LoopCloser:
         self._clock = clock or StageClock()
         self._added: list[Loop] = []
         self._parts = MapParts()
+        self._camera: Intrinsics | None = None
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
         self._segments: list[int] = []
@@ -136,19 +138,23 @@ class LoopCloser:
         Raises
         ------
         ValueError
-            If stamps do not grow, or the pose is not finite or no rotation and translation; the
-            frame is not taken then, and others may follow.
+            If stamps do not grow, the frame is of another camera than those before, or the pose is
+            not finite or no rotation and translation; it is not taken then, and others may follow.
         """
         frame_index = len(self._stamps_s)
         last_s = self._stamps_s[-1] if self._stamps_s else -np.inf
         if not last_s < frame.stamp_s < np.inf:
             raise ValueError(f"stamps must grow, got {frame.stamp_s} s after {last_s} s")
+        camera = self._camera or frame.intrinsics
+        if frame.intrinsics != camera:
+            raise ValueError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         try:
             se3.check_rigid(T_odom_camera)
         except ValueError as error:
             place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
             raise ValueError(f"{place}: {error}") from None
+        self._camera = camera
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera)
         self._stamps_s.append(frame.stamp_s)
@@ -235,11 +241,14 @@ class LoopCloser:
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud)
             proposed = {c.match_id for c in found.candidates if c.decision != "rejected"}
-            candidates = found.candidates + self._find_covisible(keyframe, points, frame, proposed)
+            T_map_camera = self.backend.poses()
+            candidates = found.candidates + self._find_covisible(
+                keyframe, points, T_map_camera, proposed
+            )
             self._verification.add(frame, points)
             candidates, loops = self._verification.verify(
                 candidates,
-                self.backend.poses(),
+                T_map_camera,
                 parts=self._parts.of_keyframes(),
                 guesses=found.guesses,
             )
@@ -250,8 +259,7 @@ class LoopCloser:
                 self._join(loop)
                 self.backend.add_loop(loop)
             self.backend.update()
-            T_map_camera = self.backend.poses()[-1]
-        self._T_map_track = T_map_camera @ se3.inverse(T_odom_camera)
+            self._T_map_track = self.backend.poses()[-1] @ se3.inverse(T_odom_camera)
         return Step(keyframe, scene, tuple(loops), tuple(candidates), np.eye(4))
 
     def _join(self, loop: Loop) -> None:
@@ -268,14 +276,14 @@ class LoopCloser:
         self._parts.join(loop.match_id, loop.query_id)
 
     def _find_covisible(
-        self, keyframe: Keyframe, points: Array, frame: DepthFrame, found: set[int]
+        self, keyframe: Keyframe, points: Array, T_map_camera: Array, found: set[int]
     ) -> list[Candidate]:
         """Return those keyframes, but for ``found``, that by the map see what this one sees."""
         p = self._covisibility
-        *_, T_map_camera = T_map_cameras = self.backend.poses()
+        assert self._camera is not None
         every = max(1, len(points) // N_OVERLAP_POINTS)
         overlaps = view_overlap(
-            points[::every], T_map_camera, T_map_cameras[:-1], frame.intrinsics, p.max_range_m
+            points[::every], T_map_camera[-1], T_map_camera[:-1], self._camera, p.max_range_m
         )
         parts = self._parts.of_keyframes()
         overlaps[parts[:-1] != parts[-1]] = 0.0

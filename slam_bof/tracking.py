@@ -28,10 +28,10 @@ KEYFRAME, FRAME, BEFORE = 0, 1, 2
 MARGIN = 0.1
 """By so much must a pose by odometry agree better to be taken instead of the aligned one, which
 is more exact than agreement can tell."""
-USUAL = 0.85
-"""What agreement is taken to be before any was measured ..."""
+USUAL = 0.5, 0.85
+"""What agreement is usual is said by the first frame after the first keyframe, between these ..."""
 FORGETTING = 0.1
-"""... and the weight of each one since."""
+"""... and by each one since, at this weight."""
 
 
 class TrackingParams(Params):
@@ -87,7 +87,7 @@ class Tracker:
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._segment = 0
         self._is_lost = False
-        self._usual = USUAL
+        self._usual = float("nan")
         self._view: View | None = None
         self._T_raw = self._T_last = self._T_known = self._T_keyframe = np.eye(4)
 
@@ -130,6 +130,8 @@ class Tracker:
         self._aligner.truncate(FRAME)
         self._aligner.add(self._view)
         followed = self._follow(KEYFRAME, self._T_keyframe, T_guess)
+        if np.isnan(self._usual):
+            self._usual = float(np.clip(followed.agreement, *USUAL))
         if not self._is_lost and self._is_usual(followed):
             self._usual += FORGETTING * (followed.agreement - self._usual)
             return followed.T_odom_frame, followed.agreement * followed.compared

@@ -187,6 +187,16 @@ def test_stamps_must_grow():
             closer.process(replace(frame, stamp_s=stamp_s), np.eye(4))
 
 
+def test_frames_are_of_one_camera(box_room_frame):
+    closer = LoopCloser.from_preset("indoor")
+    closer.process(box_room_frame, np.eye(4))
+    zoomed = replace(box_room_frame.intrinsics, fx=box_room_frame.intrinsics.fx * 2)
+    other = replace(box_room_frame, stamp_s=1e6, intrinsics=zoomed)
+    with pytest.raises(ValueError, match=r"frames must all be of Intrinsics.*, got one of Intrin"):
+        closer.process(other, np.eye(4))
+    assert len(closer.finish()) == 1
+
+
 BAD_POSES = {
     "NaN": np.full((4, 4), np.nan),
     "rotation .determinant 8": np.diag([2.0, 2.0, 2.0, 1.0]),

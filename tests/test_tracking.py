@@ -84,6 +84,22 @@ def test_elsewhere_the_track_begins_anew(turn, look, standpoint):
     assert tracker.n_lost == 1
 
 
+def noisy(frame, sigma):
+    """Depths off by a share of themselves, each pixel on its own."""
+    shares = 1.0 + sigma * np.random.default_rng(0).standard_normal(frame.depth.shape)
+    return replace(frame, depth=(frame.depth_m() * shares).astype(np.float32))
+
+
+def test_what_is_usual_depends_on_the_sensor(turn):
+    """So noisy that right poses agree by half only, which elsewhere would be a loss."""
+    frames, truth = turn
+    poor = [noisy(frame, 0.07) for frame in frames]
+    tracker, tracks = follow([*poor, covered(frames[-1])], np.concatenate([truth, truth[-1:]]))
+    assert max(track.seen for track in tracks[1:-1]) < 0.65
+    assert [track.is_lost for track in tracks] == [False] * N_FRAMES + [True]
+    assert tracker.n_lost == 1
+
+
 def test_nothing_is_lost_before_anything_was_seen(turn):
     frames, truth = turn
     tracker, tracks = follow([covered(f) for f in frames[:3]] + frames[3:], truth)

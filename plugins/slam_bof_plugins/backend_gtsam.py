@@ -160,7 +160,7 @@ class GtsamBackend:
 
     def poses(self) -> Array:
         """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
-        return poses_of(self._estimate, len(self._T_odom_camera))
+        return poses_of(self._estimate)
 
     def write_g2o(self, path: Path) -> None:
         """Write nodes and edges as .g2o; GTSAM puts the translation first, as g2o has it."""

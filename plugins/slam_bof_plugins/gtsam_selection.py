@@ -102,9 +102,13 @@ def pose3(T: Pose) -> gtsam.Pose3:
     return gtsam.Pose3(gtsam.Rot3(se3.nearest_rotation(T[:3, :3])), T[:3, 3])
 
 
-def poses_of(values: gtsam.Values, n: int) -> Array:
-    """Return the first ``n`` nodes as (n, 4, 4)."""
-    return np.array([values.atPose3(key).matrix() for key in range(n)]).reshape(-1, 4, 4)
+def poses_of(values: gtsam.Values) -> Array:
+    """Return all nodes, by their keys, as (n, 4, 4)."""
+    rows = gtsam.utilities.extractPose3(values)  # rotation row by row, then translation
+    T = np.tile(np.eye(4), (len(rows), 1, 1))
+    T[:, :3, :3] = rows[:, :9].reshape(-1, 3, 3)
+    T[:, :3, 3] = rows[:, 9:]
+    return T
 
 
 def optimized(
@@ -130,7 +134,7 @@ def _settle(
     graph = _chain(T_odom_camera, segments, noise)
     for edge in edges:
         graph.add(gtsam.BetweenFactorPose3(*edge, noise))
-    return poses_of(optimized(graph, _values(T_odom_camera)), len(T_odom_camera))
+    return poses_of(optimized(graph, _values(T_odom_camera)))
 
 
 def _chain(
