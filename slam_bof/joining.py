@@ -7,6 +7,8 @@ what either part has seen must not stand where the other has looked through.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -62,27 +64,23 @@ class JoinGate:
             loop for loop in self._pending if parts[loop.query_id] != parts[loop.match_id]
         ]
         for loop in loops:
-            seen_from = _from_younger(loop, parts)
-            between = parts[seen_from.query_id], parts[seen_from.match_id]
+            oriented = _from_younger(loop, parts)
+            between = parts[oriented.query_id], parts[oriented.match_id]
             self._pending.append(loop)
-            agreeing, witnesses = [], []
-            for other in self._pending:
-                witness = _from_younger(other, parts)
-                if (parts[witness.query_id], parts[witness.match_id]) == between and agree(
-                    seen_from, witness, T_map_camera, p.max_distance_m, p.max_angle_rad
-                ):
-                    agreeing.append(other)
-                    witnesses.append(witness)
+            witnesses = [_from_younger(other, parts) for other in self._pending]
+            agreed = agree(oriented, witnesses, T_map_camera, p.max_distance_m, p.max_angle_rad)
+            agreed &= [(parts[w.query_id], parts[w.match_id]) == between for w in witnesses]
+            agreeing = list(itertools.compress(self._pending, agreed))
             if (
                 len({other.query_id for other in agreeing}) >= p.n_required
-                and self._has_looked_about(witnesses, T_map_camera)
-                and self._is_free(seen_from, T_map_camera, parts)
+                and self._has_looked_about(itertools.compress(witnesses, agreed), T_map_camera)
+                and self._is_free(oriented, T_map_camera, parts)
             ):
                 self._pending = [other for other in self._pending if other not in agreeing]
                 return agreeing
         return []
 
-    def _has_looked_about(self, loops: list[Loop], T_map_camera: Array) -> bool:
+    def _has_looked_about(self, loops: Iterable[Loop], T_map_camera: Array) -> bool:
         """Tell whether the queries, all of one part, see enough of the place."""
         p = self.params
         query_ids = sorted({loop.query_id for loop in loops})

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from slam_bof import se3
-from slam_bof.consistency import ConsistencyGate, ConsistencyParams, circuit_error
+from slam_bof.consistency import ConsistencyGate, ConsistencyParams, circuit_errors
 from slam_bof.types import Loop
 
 
@@ -25,8 +25,17 @@ def pairs(loops):
 
 
 def test_true_loops_close_the_circuit_whatever_the_drift(there_and_again):
-    error = circuit_error(loop(12, 2), loop(15, 4), there_and_again)
-    np.testing.assert_allclose(error, np.eye(4), atol=1e-12)
+    others = [loop(15, 4), loop(11, 1), loop(19, 2)]
+    errors = circuit_errors(loop(12, 2), others, there_and_again)
+    np.testing.assert_allclose(errors, [np.eye(4)] * 3, atol=1e-12)
+    assert circuit_errors(loop(12, 2), [], there_and_again).shape == (0, 4, 4)
+
+
+def test_a_wrong_loop_leaves_its_error_over(there_and_again):
+    wrong = se3.exp(np.array([0.0, 0.2, 0.0, 0.0, 0.3, 0.0]))
+    (error,) = circuit_errors(loop(12, 2, wrong), [loop(15, 4)], there_and_again)
+    assert np.linalg.norm(error[:3, 3]) > 0.2
+    assert se3.rotation_angle(error) == pytest.approx(0.2)
 
 
 def test_a_loop_waits_for_a_second_one_that_agrees(there_and_again):
