@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from slam_bof.config import Config
     from slam_bof.errors import SlamBofError
+    from slam_bof.minislam import MiniSlam
     from slam_bof.recogniser import PlaceRecogniser
-    from slam_bof.slam import LoopCloser, MiniSlam
+    from slam_bof.slam import LoopCloser
     from slam_bof.types import (
         Bag,
         DepthFrame,
@@ -41,7 +42,7 @@ __all__ = [
 _HOMES = {
     "Config": "config",
     "LoopCloser": "slam",
-    "MiniSlam": "slam",
+    "MiniSlam": "minislam",
     "PlaceRecogniser": "recogniser",
     "SlamBofError": "errors",
 }

@@ -12,7 +12,8 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from slam_bof import evaluation
-from slam_bof.slam import LoopCloser, SlamResult
+from slam_bof.minislam import SlamResult
+from slam_bof.slam import LoopCloser
 from slam_bof.timing import StageClock
 from slam_bof.types import Candidate, Trajectory
 

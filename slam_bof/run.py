@@ -18,9 +18,10 @@ from slam_bof.config import Config
 from slam_bof.errors import RunError
 from slam_bof.mapping import write_map
 from slam_bof.metrics import Metrics, Usage, compute_metrics
+from slam_bof.minislam import MiniSlam
 from slam_bof.ports import Dataset, NullObserver, Observer
 from slam_bof.report import ReportData, write_report
-from slam_bof.slam import LoopCloser, MiniSlam
+from slam_bof.slam import LoopCloser
 from slam_bof.store import MapStore
 from slam_bof.timing import StageClock
 from slam_bof.trajectory import write_kitti, write_tum

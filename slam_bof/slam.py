@@ -1,27 +1,26 @@
-"""The plug-in: two calls beside any odometry; and the mini-SLAM built of both."""
+"""The plug-in: two calls beside any odometry."""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slam_bof import model as models
 from slam_bof import registry, se3
 from slam_bof.config import Config, load, preset
 from slam_bof.covisibility import CovisibilityParams, choose_covisible, view_overlap
-from slam_bof.errors import DatasetError
 from slam_bof.keyframes import KeyframeSelector
 from slam_bof.loops import LoopCounts, LoopDetector
 from slam_bof.model import Model
 from slam_bof.native import one_blas_thread
 from slam_bof.parts import MapParts
 from slam_bof.points import PointParams, points_camera
-from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry
+from slam_bof.ports import Backend
 from slam_bof.timing import StageClock
 from slam_bof.tracking import Track, Tracker
 from slam_bof.trajectory import spread_correction
@@ -38,7 +37,7 @@ from slam_bof.types import (
 )
 from slam_bof.verification import LoopVerification
 
-__all__ = ["LoopCloser", "MiniSlam", "SlamResult"]
+__all__ = ["LoopCloser"]
 
 N_OVERLAP_POINTS = 200
 LOST = -1
@@ -160,7 +159,12 @@ class LoopCloser:
         self._stamps_s.append(frame.stamp_s)
         self._T_odom_camera.append(track.T_odom_camera)
         self._segments.append(LOST if track.is_lost else track.segment)
-        if self._is_keyframe(frame_index, track):
+        if self._begins_segment(track):
+            self._selector.reset()
+            self._segments[-2] = track.segment  # whose agreement showed that the track is found
+        if not track.is_lost and self._selector.select(
+            frame_index, track.T_odom_camera, seen=track.seen
+        ):
             self._tracker.keep()
             step = self._add_keyframe(frame_index, frame, track)
         else:
@@ -194,14 +198,13 @@ class LoopCloser:
         )
         return Trajectory(stamps_s, poses)
 
-    def _is_keyframe(self, frame_index: int, track: Track) -> bool:
-        """Tell whether the frame becomes a keyframe; the first of a segment always does."""
-        if track.is_lost:
-            return False
-        if self.keyframes and self.keyframes[-1].segment != track.segment:
-            self._selector.reset()
-            self._segments[-2] = track.segment  # whose agreement showed that the track is found
-        return self._selector.select(frame_index, track.T_odom_camera, seen=track.seen)
+    def _begins_segment(self, track: Track) -> bool:
+        """Tell whether the track is found anew; the first keyframe begins nothing anew."""
+        return (
+            not track.is_lost
+            and len(self.keyframes) > 0
+            and self.keyframes[-1].segment != track.segment
+        )
 
     @property
     def n_parts(self) -> int:
@@ -300,60 +303,3 @@ class LoopCloser:
             for match_id in choose_covisible(overlaps, p)
             if match_id not in found
         ]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SlamResult:
-    """What a sequence came to: the poses of every frame read, before and after the map."""
-
-    odometry: Trajectory
-    optimized: Trajectory
-    indices: NDArray[np.int64]
-    """(N,) which frames of the data set these are; those that could not be read are missing."""
-    n_skipped: int
-
-
-class MiniSlam:
-    """An odometry with a ``LoopCloser`` beside it, run over a data set."""
-
-    def __init__(
-        self,
-        odometry: Odometry,
-        closer: LoopCloser,
-        *,
-        observer: Observer | None = None,
-        clock: StageClock | None = None,
-    ) -> None:
-        self._odometry = odometry
-        self._closer = closer
-        self._observer = observer or NullObserver()
-        self._clock = clock or StageClock()
-
-    def run(self, dataset: Dataset, *, max_frames: int | None = None) -> SlamResult:
-        """Process the sequence; a frame that cannot be read is skipped with a warning."""
-        n_frames = min(len(dataset), max_frames or len(dataset))
-        self._observer.on_start(n_frames)
-        indices: list[int] = []
-        stamps_s: list[float] = []
-        poses: list[Pose] = []
-        for index in range(n_frames):
-            try:
-                with self._clock.stage("read"):
-                    frame = dataset.frame(index)
-            except DatasetError as error:
-                self._observer.on_warning(f"frame {index} skipped: {error}")
-                continue
-            with self._clock.stage("odometry"):
-                T_odom_camera = self._odometry.process(frame)
-            indices.append(index)
-            stamps_s.append(frame.stamp_s)
-            poses.append(T_odom_camera)
-            step = self._closer.process(frame, T_odom_camera)
-            self._observer.on_step(index, step)
-        odometry = Trajectory(np.array(stamps_s), np.array(poses).reshape(-1, 4, 4))
-        return SlamResult(
-            odometry,
-            self._closer.finish(),
-            np.array(indices, dtype=np.int64),
-            n_frames - len(indices),
-        )

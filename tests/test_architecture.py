@@ -19,7 +19,7 @@ _ROWS = """
     gravity views viewstack spectra panorama slices alignment recogniser tracking
     scenes keyframes loops covisibility parts consistency joining verification model
     schema rows store queries
-    registry config slam mapping
+    registry config slam minislam mapping
     evaluation recognition metrics synthetic training bench retrieval
     figures matrices page misses report runs run cli
 """
