@@ -37,6 +37,8 @@ class LoopParams(Params):
     min_normaliser: float = Field(0.05, ge=0, description="bags: below it not judged")
     min_seen: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
     recogniser: RecogniserParams = RecogniserParams()
+    repeat_m: float = Field(0.2, ge=0, description="views: who has a loop to nearer than this")
+    repeat_rad: float = Field(0.2, ge=0, description="and turned by less is not searched for")
     tc: int = Field(3, ge=0, description="keyframes that the time consistency check runs over")
     tc_required: int = Field(1, ge=0, description="of which so many must agree")
     max_index_difference: int = Field(3, ge=0, description="keyframes apart that still agree")
@@ -143,6 +145,13 @@ class LoopDetector:
         self._keyframes.append(keyframe)
         return replace(found, candidates=checked)
 
+    def set_aside(self) -> None:
+        """Find others rather than the last keyframe from now on: it shows what an older one does.
+
+        By bags all are found, as the paper has it.
+        """
+        self._ranking.set_aside()
+
     def _check(self, keyframe: Keyframe, candidate: Candidate) -> Candidate:
         """Measure semantic agreement and time consistency, and reject what fails."""
         p = self.params
@@ -212,6 +221,9 @@ class _Ranking(Protocol):
     def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
         """Return the best of the older keyframes, and remember this one."""
 
+    def set_aside(self) -> None:
+        """Find others rather than the one ranked last."""
+
 
 class _Bags:
     """The paper's: the maxima of eta."""
@@ -239,6 +251,9 @@ class _Bags:
                 found.candidates.append(self._judge(candidate))
         self._stamps_s.append(keyframe.stamp_s)
         return found
+
+    def set_aside(self) -> None:
+        """Do nothing: the paper's index holds all."""
 
     def _judge(self, candidate: Candidate) -> Candidate:
         p = self._params
@@ -276,6 +291,9 @@ class _Views:
         return Found(
             candidates, {c.match_id: matches[c.match_id].T_match_query for c in candidates}
         )
+
+    def set_aside(self) -> None:
+        self._recogniser.set_aside()
 
 
 def _maxima(scores: NDArray[np.floating], params: LoopParams) -> list[int]:

@@ -8,6 +8,7 @@ are alike enough to be found, the place is still known from a moment ago.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -103,6 +104,7 @@ class PlaceRecogniser:
         self.params = params or RecogniserParams()
         self._gravity = GravityTracker(gravity_odom)
         self._panorama, self._slices = Panorama(), Slices()
+        self._searched: list[int] = []  # views, of which the next two have a row each
         self._panoramas = Stack(self._panorama.shape, np.complex64)
         self._plans = Stack(self._slices.shape, np.complex64)
         self._R_level_camera = Stack((3, 3), np.float64)
@@ -112,7 +114,7 @@ class PlaceRecogniser:
 
     def __len__(self) -> int:
         """Return the number of views remembered."""
-        return len(self._panoramas)
+        return len(self._R_level_camera)
 
     @one_blas_thread()
     def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
@@ -125,8 +127,18 @@ class PlaceRecogniser:
         self._R_level_camera.append(R)
         self._panoramas.append(self._panorama.spectrum(view_points(frame) @ R.T))
         view_id = len(self) - 1
+        self._searched.append(view_id)
         self._plans.append(self._slices.spectra(self._points_level(view_id), np.zeros(1))[0])
         return view_id
+
+    def set_aside(self) -> None:
+        """Leave the newest view out of later searches, for it shows what an older one does.
+
+        So searches cost by how much there is to see, not by how long one has looked.
+        """
+        self._searched.pop()
+        self._panoramas.truncate(len(self._searched))
+        self._plans.truncate(len(self._searched))
 
     @property
     def nbytes(self) -> int:
@@ -146,23 +158,30 @@ class PlaceRecogniser:
 
     @one_blas_thread()
     def retrieve(self, view_id: int, n_views: int) -> Shortlist:
-        """Return which of the first ``n_views`` views look alike, unaligned."""
+        """Return which of the first ``n_views`` views look alike, unaligned.
+
+        Those set aside have a score of -1. The view that asks must not be one of them.
+        """
         p = self.params
-        scores = self._panorama.compare(
-            self._panoramas.rows[: max(n_views, 0)], self._panoramas.rows[view_id]
-        )
-        some = np.argsort(-scores, kind="stable")[: p.n_plans]
+        n = bisect_left(self._searched, n_views)
+        searched = np.array(self._searched[:n], np.intp)
+        query = self._panoramas.rows[bisect_left(self._searched, view_id)]
+        alike = self._panorama.compare(self._panoramas.rows[:n], query)
+        some = np.argsort(-alike, kind="stable")[: p.n_plans]
         turned = self._slices.spectra(self._points_level(view_id))
-        alike, T_plan = self._slices.compare(self._plans.rows[some], turned)
-        scores[some] += np.float32(p.plan_weight) * alike
-        best = np.argsort(-scores[some], kind="stable")[: p.n_aligned]
+        alike_plans, T_plan = self._slices.compare(self._plans.rows[some], turned)
+        alike[some] += np.float32(p.plan_weight) * alike_plans
+        best = np.argsort(-alike[some], kind="stable")[: p.n_aligned]
+        view_ids = searched[some[best]]
         R = self._R_level_camera.rows
         T_level_query, T_match_level = np.eye(4), np.tile(np.eye(4), (len(best), 1, 1))
         T_level_query[:3, :3] = R[view_id]
-        T_match_level[:, :3, :3] = R[some[best]].transpose(0, 2, 1)
+        T_match_level[:, :3, :3] = R[view_ids].transpose(0, 2, 1)
         moved = T_match_level @ T_plan[best] @ T_level_query
         still = np.broadcast_to(np.eye(4), moved.shape)
-        return Shortlist(scores, some[best], np.stack([moved, still], axis=1))
+        scores = np.full(max(n_views, 0), -1.0, np.float32)
+        scores[searched] = alike
+        return Shortlist(scores, view_ids, np.stack([moved, still], axis=1))
 
     @one_blas_thread()
     def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
@@ -196,8 +215,9 @@ class PlaceRecogniser:
         for match in matches:
             T_match_query = match.T_match_query @ T_last_query
             T_odom_query = T_odom_camera[match.view_id] @ T_match_query
-            last = min(match.view_id + around + 1, len(shortlist.scores))
-            for near in range(max(0, match.view_id - around), last):
+            at = bisect_left(self._searched, match.view_id)
+            last = min(at + around + 1, bisect_left(self._searched, len(shortlist.scores)))
+            for near in self._searched[max(0, at - around) : last]:
                 leads.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
         ids, starts = shortlist.view_ids, shortlist.starts.copy()
         for k, listed in enumerate(ids):

@@ -255,6 +255,8 @@ class LoopCloser:
                 parts=self._parts.of_keyframes(),
                 guesses=found.guesses,
             )
+        if any(loop.query_id == keyframe.id and self._repeats(loop) for loop in loops):
+            self._detector.set_aside()
         self.loops.extend(loops)
         self._added.extend(loops)
         with self._clock.stage("optimize"):
@@ -264,6 +266,13 @@ class LoopCloser:
             self.backend.update()
             self._T_map_track = self.backend.poses()[-1] @ se3.inverse(T_odom_camera)
         return Step(keyframe, scene, tuple(loops), tuple(candidates), np.eye(4))
+
+    def _repeats(self, loop: Loop) -> bool:
+        """Tell whether an older keyframe stands where this one does."""
+        p, T = self._detector.params, loop.T_match_query
+        return loop.kind == "loop" and bool(
+            np.linalg.norm(T[:3, 3]) <= p.repeat_m and se3.rotation_angle(T) <= p.repeat_rad
+        )
 
     def _join(self, loop: Loop) -> None:
         """Where the loop is between two parts of the map, carry the younger to the older."""

@@ -101,3 +101,25 @@ def test_an_empty_frame_is_like_nothing(tour):
     assert np.isfinite(match.T_match_query).all()
     assert len(recogniser) == 2
     assert recogniser.nbytes > 0
+
+
+def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
+    frames, poses = tour
+    recogniser = PlaceRecogniser()
+    T_odom_camera = se3.inverse(poses[0]) @ poses
+    for frame, T in zip(frames[:N_ROUND], T_odom_camera, strict=False):
+        recogniser.add(frame, T)
+    again = recogniser.add(frames[1], T_odom_camera[1])
+    assert recogniser.recognise(again, N_ROUND)[0].view_id == 1
+    before = recogniser.nbytes
+    recogniser.set_aside()
+    asking = recogniser.add(frames[12], T_odom_camera[12])
+    assert (again, asking) == (N_ROUND, N_ROUND + 1)
+    assert recogniser.nbytes - before < 40_000  # what is searched took its place
+    shortlist = recogniser.retrieve(asking, asking)
+    assert shortlist.scores[again] == -1.0
+    assert again not in shortlist.view_ids
+    assert set(shortlist.view_ids) <= set(range(N_ROUND))
+    assert recogniser.recognise(asking, asking)[0].view_id == 1
+    agreement = recogniser.agreement(again, np.array([1]), np.eye(4)[None])
+    assert agreement.seen[0] > 0.99
