@@ -47,12 +47,18 @@ class Dataset(Protocol):
     intrinsics: Intrinsics
 
     @classmethod
-    def recognises(cls, path: Path) -> bool:
-        """Tell whether the folder is of this layout, by its content."""
+    def recognises(cls, path: Path) -> str | bool:
+        """Tell whether a folder or file is of this layout, by its content.
+
+        The best answer says by what, such as ``rgb.txt, depth.txt``, empty if it is not.
+        """
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open a sequence; ``DatasetError`` names what is missing or malformed."""
+        """Open a sequence; ``DatasetError`` names what is missing or malformed.
+
+        One that takes options (a nested ``Params``) is opened by ``open(path, params)``.
+        """
 
     def __len__(self) -> int:
         """Return the number of frames."""

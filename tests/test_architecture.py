@@ -31,6 +31,7 @@ OPEN_TO_PLUGINS = set(
     [
         "errors",
         "types",
+        "validation",
         "native",
         "se3",
         "trajectory",
