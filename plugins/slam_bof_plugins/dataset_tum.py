@@ -72,6 +72,9 @@ class TumParams(Params):
         description="published intrinsics to take: color (depth registered to it, as "
         "distributed), infrared (raw depth), or default (525 px, as OpenNI has it)",
     )
+    intrinsics: tuple[float, float, float, float] | None = Field(
+        None, description="fx, fy, cx, cy in px, in place of published ones"
+    )
 
 
 class TumRgbd:
@@ -128,7 +131,7 @@ class TumRgbd:
             )
         files = [files[i] for i in present]
         height, width = check_depth_files(files)
-        camera = _camera(path, (params or TumParams()).camera, width, height)
+        camera = _camera(path, params or TumParams(), width, height)
         return cls(path, stamps_s[present], files, camera)
 
     def __len__(self) -> int:
@@ -198,11 +201,15 @@ def _read_groundtruth(folder: Path, stamps_s: Array) -> Trajectory | None:
     return found if unknown < len(stamps_s) else None
 
 
-def _camera(folder: Path, which: Camera, width: int, height: int) -> Intrinsics:
+def _camera(folder: Path, params: TumParams, width: int, height: int) -> Intrinsics:
+    if params.intrinsics is not None:
+        return Intrinsics(width, height, *params.intrinsics)
+    which = params.camera
     match = re.search(r"freiburg([123])", folder.resolve().name)
     if which != "default" and match is None:
         logger.warning(
-            "%s: the name tells of no freiburg1, 2 or 3; taking the default camera of 525 px",
+            "%s: the name tells of no freiburg1, 2 or 3; taking the default camera of 525 px, "
+            "or give --set dataset.options.intrinsics=[fx,fy,cx,cy]",
             folder,
         )
     of_freiburg = (which, int(match[1])) if match else (which, 0)

@@ -9,6 +9,7 @@ from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal, trajecto
 from numpy.typing import NDArray
 
 from slam_bof import registry
+from slam_bof.errors import DatasetError
 from slam_bof.trajectory import write_tum
 
 CAMERA = {"width": WIDTH, "height": HEIGHT, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
@@ -170,3 +171,11 @@ def test_cut_arrays_and_missing_files_are_refused(tmp_path: Path) -> None:
 def test_an_unfinished_image_is_no_image(tmp_path: Path) -> None:
     folder = write(tmp_path, ["depth/1.0.png", "depth/.2.0.png"])
     assert stamps(folder) == [1.0]
+
+
+def test_frames_of_7_scenes_with_a_camera_are_both(tmp_path: Path) -> None:
+    folder = write(tmp_path, ["frame-000000.depth.png"])
+    with pytest.raises(DatasetError, match="choose by --dataset 7scenes or folder"):
+        registry.open_dataset(folder)
+    assert registry.open_dataset(folder, "folder").intrinsics.fx == 30.0
+    assert registry.open_dataset(folder, "7scenes").intrinsics.fx == 585.0 * WIDTH / 640

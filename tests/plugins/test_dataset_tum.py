@@ -75,6 +75,11 @@ def test_cameras_as_published(
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == published
 
 
+def test_a_camera_of_ones_own(folder: Path) -> None:
+    camera = registry.open_dataset(folder, "auto", {"intrinsics": [1, 2, 3, 4]}).intrinsics
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (1, 2, 3, 4)
+
+
 def test_saturated_depth_is_missing(folder: Path) -> None:
     depth = ramp()
     depth[1, 1] = 65535
