@@ -30,6 +30,7 @@ __all__ = [
     "Backend",
     "Dataset",
     "Descriptor",
+    "LabelledImages",
     "NullObserver",
     "Observer",
     "Odometry",
@@ -77,6 +78,14 @@ class Dataset(Protocol):
 
     def scenes(self) -> tuple[str, ...] | None:
         """Return the true scene label of every frame, if there are any."""
+
+
+@runtime_checkable
+class LabelledImages(Dataset, Protocol):
+    """A data set of single images with scene labels: no sequence, and each with its own camera."""
+
+    is_train: NDArray[np.bool_]
+    """(N,) for each image, whether the official split trains with it; else it tests."""
 
 
 @runtime_checkable

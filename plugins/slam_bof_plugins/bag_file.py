@@ -127,7 +127,8 @@ class BagFile:
         except Exception as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise DatasetError(
-                f"{self.path}: found a bag that cannot be read ({reason}), expected a whole one"
+                f"{self.path}: found a bag that cannot be read ({reason}), expected a whole one; "
+                "rosbag reindex, ros2 bag reindex or mcap recover may mend it"
             ) from error
 
 

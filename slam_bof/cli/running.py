@@ -91,6 +91,8 @@ def _run(
 ) -> RunResult:
     from slam_bof import registry
     from slam_bof.cli.console import FrameBar
+    from slam_bof.errors import DatasetError
+    from slam_bof.ports import LabelledImages
     from slam_bof.run import run_sequence
 
     name, remarks = config.dataset.name, []
@@ -100,6 +102,11 @@ def _run(
         if not quiet:
             typer.echo(remarks[0], err=True)
     dataset = registry.open_dataset(sequence, name, config.dataset.options)
+    if isinstance(dataset, LabelledImages):
+        raise DatasetError(
+            f"{sequence}: found single images of {name}, expected a sequence; "
+            "they are for training and judging scene labels"
+        )
     with FrameBar(dataset.sequence, quiet=quiet) as observer:
         return run_sequence(
             dataset, config, out, observer=observer, max_frames=max_frames, remarks=remarks

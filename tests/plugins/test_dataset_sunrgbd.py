@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from datasets import check_dataset, refusal, write_png
 from scipy.io import savemat
+from typer.testing import CliRunner
 
-from slam_bof import registry
+from slam_bof import ports, registry
+from slam_bof.cli import app
 from slam_bof_plugins.dataset_sunrgbd import SCENES
 
 TRAIN = ["kv1/NYUdata/NYU0001", "kv2/kinect2data/000065_resize", "xtion/sun3ddata/hall/0001"]
@@ -59,6 +61,7 @@ def test_obeys_the_contract(root: Path) -> None:
 @pytest.mark.parametrize("below", [".", "SUNRGBD"])
 def test_reads_what_was_written(root: Path, below: str) -> None:
     dataset = registry.open_dataset(root / below)
+    assert isinstance(dataset, ports.LabelledImages)
     assert (dataset.name, len(dataset)) == ("sunrgbd", 5)
     assert dataset.scenes() == tuple(LABELS)
     assert dataset.is_train.tolist() == [True, True, True, False, False]
@@ -145,3 +148,12 @@ def test_malformed_images_are_refused(root: Path, name: str, text: str, message:
 def test_other_folders_are_refused(tmp_path: Path) -> None:
     (tmp_path / "kv1").mkdir()
     assert "expected SUN RGB-D" in refusal("sunrgbd", tmp_path)
+
+
+def test_single_images_are_not_run(root: Path) -> None:
+    result = CliRunner().invoke(app, ["run", str(root), "-o", str(root / "runs")])
+    assert result.exit_code == 1
+    assert "found single images of sunrgbd, expected a sequence" in result.stderr
+    assert "recognised as sunrgbd: SUNRGBD with kv1/, kv2/, realsense/, xtion/, allsplit.mat" in (
+        result.stderr
+    )
