@@ -154,7 +154,7 @@ def _depth_topic(bag: BagFile, wanted: str | None) -> Topic:
         listed = ", ".join(item.name for item in images) or "none"
         raise DatasetError(f"{bag.path}: found no images on {wanted}, expected one of: {listed}")
     coded = {item.name: _encoding(bag, item) for item in images}
-    depth = {item.name: item for item in images if _is_depth(coded[item.name])}
+    depth = {item.name: item for item in images if _is_depth(item.name, coded[item.name])}
     # The same images, raw and compressed, are no choice.
     depth = {name: item for name, item in depth.items() if name.rpartition("/")[0] not in depth}
     if len(depth) == 1:
@@ -177,8 +177,12 @@ def _encoding(bag: BagFile, topic: Topic) -> str:
     return "" if first is None else encoding(first, topic.msgtype)
 
 
-def _is_depth(coded: str) -> bool:
-    return coded.split(";")[0] in ("16UC1", "32FC1") and "jpeg" not in coded
+def _is_depth(name: str, coded: str) -> bool:
+    """Tell depth from infrared images, which have 16 bits too."""
+    kind = coded.split(";")[0]
+    if kind == "mono16":  # of the RealSense viewer
+        return "depth" in name.lower()
+    return kind in ("16UC1", "32FC1") and "jpeg" not in coded
 
 
 def _times(
@@ -232,8 +236,9 @@ def _beside(bag: BagFile, topic: Topic, frame: str) -> str:
     above = topic.name
     for _ in range(2):  # .../image_raw and .../image_raw/compressedDepth
         above = above.rpartition("/")[0]
-        if f"{above}/camera_info" in infos:
-            return f"{above}/camera_info"
+        for name in (f"{above}/camera_info", f"{above}/info/camera_info"):
+            if name in infos:
+                return name
     if len(infos) > 1:
         infos = [name for name in infos if bag.first(name).header.frame_id == frame] or infos
     if len(infos) == 1:

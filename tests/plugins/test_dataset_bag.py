@@ -21,7 +21,7 @@ from slam_bof.errors import DatasetError
 pytest.importorskip("rosbags", reason="needs pip install slam-bof[bag]")
 
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -158,24 +158,30 @@ class Bag:
 
 
 @contextmanager
-def writing(folder: Path, form: str) -> Iterator[tuple[Bag, Path]]:
+def writing(folder: Path, form: str, packing: str = "") -> Iterator[tuple[Bag, Path]]:
     if form == "ros1":
         path = folder / "toy.bag"
-        with Writer1(path) as writer:
-            yield Bag(1, writer), path
+        old = Writer1(path)
+        if packing:
+            old.set_compression(Writer1.CompressionFormat[packing])
+        with old:
+            yield Bag(1, old), path
     else:
         path = folder / f"toy_{form}"
-        with Writer2(path, version=9, storage_plugin=StoragePlugin[form.upper()]) as writer:
-            yield Bag(2, writer), path
+        new = Writer2(path, version=9, storage_plugin=StoragePlugin[form.upper()])
+        if packing:
+            new.set_compression(CompressionMode[packing], CompressionFormat.ZSTD)
+        with new:
+            yield Bag(2, new), path
 
 
 def time_ns(number: float) -> int:
     return START_NS + round(number * 33_333_333)
 
 
-def write(folder: Path, form: str, *, n: int = 4, **options: Any) -> Path:
+def write(folder: Path, form: str, packing: str = "", *, n: int = 4, **options: Any) -> Path:
     """Write ramps of 16UC1 with their camera, and images of another camera in between."""
-    with writing(folder, form) as (bag, path):
+    with writing(folder, form, packing) as (bag, path):
         bag.camera(INFO)
         for number in range(n):
             bag.image("/camera/color", time_ns(number) + 7, np.zeros((4, 4), np.uint8), "mono8")
@@ -197,6 +203,25 @@ def test_reads_what_was_written(tmp_path: Path, form: str) -> None:
     camera = dataset.intrinsics
     assert (camera.width, camera.height) == (WIDTH, HEIGHT)
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (30, 31, 16, 12)
+
+
+@pytest.mark.parametrize(
+    ("form", "packing"),
+    [
+        ("ros1", "BZ2"),
+        ("ros1", "LZ4"),
+        ("sqlite3", "MESSAGE"),
+        ("sqlite3", "FILE"),
+        ("mcap", "MESSAGE"),
+        ("mcap", "FILE"),
+        ("mcap", "STORAGE"),
+    ],
+)
+def test_packed_bags_are_read(tmp_path: Path, form: str, packing: str) -> None:
+    dataset = registry.open_dataset(write(tmp_path, form, packing))
+    check_dataset(dataset)
+    for number in (3, 1, 2):
+        np.testing.assert_array_equal(dataset.frame(number).depth, ramp(number))
 
 
 @pytest.mark.parametrize("form", ["sqlite3", "mcap"])
@@ -346,6 +371,17 @@ def test_topics_are_chosen_by_options(tmp_path: Path) -> None:
     assert "found no camera_info /c, expected one of: /a/" in refusal(
         "bag", path, topic="/a/depth", camera_info="/c"
     )
+
+
+def test_recordings_of_the_realsense_viewer(tmp_path: Path) -> None:
+    sensor = "/device_0/sensor_0"
+    with writing(tmp_path, "ros1", "LZ4") as (bag, path):
+        for name, fx in (("Depth_0", 40.0), ("Infrared_1", 50.0)):
+            bag.camera(f"{sensor}/{name}/info/camera_info", fx=fx)
+            bag.image(f"{sensor}/{name}/image/data", time_ns(0), ramp(int(fx)), "mono16")
+    dataset = registry.open_dataset(path)
+    assert dataset.intrinsics.fx == 40
+    np.testing.assert_array_equal(dataset.frame(0).depth, ramp(40))
 
 
 def test_a_camera_of_the_same_frame_will_do(tmp_path: Path) -> None:
