@@ -51,7 +51,8 @@ Camera = Literal["color", "infrared", "default"]
 # fx, fy, cx, cy of 640x480 images, as published with the benchmark, by camera and freiburg
 # number. Depth there is registered to colour already, so that the colour camera is right for
 # both; the infrared camera is for raw depth. The depth values of freiburg1 and freiburg2 were
-# corrected (by 1.035 and 1.031) before publication: nothing is to be done about them here.
+# corrected (by 1.035 and 1.031) before publication: nothing is to be done about them here. Lens
+# distortion, of colour images of freiburg1 and freiburg2, is not undone.
 CAMERAS: dict[tuple[str, int], tuple[float, float, float, float]] = {
     ("color", 1): (517.3, 516.5, 318.6, 255.3),
     ("color", 2): (520.9, 521.0, 325.1, 249.7),
