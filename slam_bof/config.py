@@ -37,6 +37,14 @@ PRESETS = _PACKAGE / "configs"  # in a wheel
 if not PRESETS.is_dir():
     PRESETS = _PACKAGE.parent / "configs"  # in a checkout
 
+PORTS_OF_KEYS = {
+    "dataset": "datasets",
+    "odometry": "odometry",
+    "verifier": "verifiers",
+    "backend": "backends",
+}
+"""Which port a key of the configuration chooses the plug-in of."""
+
 
 class PluginChoice(Params):
     """A plug-in by name, with its options; a bare name will do in YAML."""
@@ -50,7 +58,9 @@ class Config(Params):
 
     model: str = Field("default", description="the model that comes along, or a file")
     seed: int = Field(0, ge=0)
-    dataset: str = Field("auto", description="a data-set plug-in; auto looks at the folder")
+    dataset: PluginChoice = Field(
+        PluginChoice(name="auto"), description="a data-set plug-in; auto looks at the folder"
+    )
     odometry: PluginChoice = PluginChoice(name="kiss-icp")
     verifier: PluginChoice = PluginChoice(name="projective")
     backend: PluginChoice = PluginChoice(name="gtsam")
@@ -69,7 +79,7 @@ class Config(Params):
         description="what proximity and verifiers of clouds see",
     )
 
-    @field_validator("odometry", "verifier", "backend", mode="before")
+    @field_validator("dataset", "odometry", "verifier", "backend", mode="before")
     @classmethod
     def _accept_name(cls, value: Any) -> Any:
         return {"name": value} if isinstance(value, str) else value
@@ -148,13 +158,13 @@ def complete(config: Config) -> Config:
     ``registry.check_options``.
     """
     choices = {}
-    for key, port in (("odometry", "odometry"), ("verifier", "verifiers"), ("backend", "backends")):
+    for key, port in PORTS_OF_KEYS.items():
         choice: PluginChoice = getattr(config, key)
+        if port == "datasets" and choice.name == "auto":
+            continue  # whose options these are is known only when there is a folder to look at
         params = registry.check_options(port, choice.name, choice.options)
         options = params.model_dump(mode="json") if params else {}
         choices[key] = PluginChoice(name=choice.name, options=options)
-    if config.dataset != "auto":
-        registry.load("datasets", config.dataset)
     return config.model_copy(update=choices)
 
 

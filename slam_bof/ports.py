@@ -30,6 +30,7 @@ __all__ = [
     "Backend",
     "Dataset",
     "Descriptor",
+    "LabelledImages",
     "NullObserver",
     "Observer",
     "Odometry",
@@ -47,12 +48,18 @@ class Dataset(Protocol):
     intrinsics: Intrinsics
 
     @classmethod
-    def recognises(cls, path: Path) -> bool:
-        """Tell whether the folder is of this layout, by its content."""
+    def recognises(cls, path: Path) -> str | bool:
+        """Tell whether a folder or file is of this layout, by its content.
+
+        The best answer says by what, such as ``rgb.txt, depth.txt``, empty if it is not.
+        """
 
     @classmethod
     def open(cls, path: Path) -> Self:
-        """Open a sequence; ``DatasetError`` names what is missing or malformed."""
+        """Open a sequence; ``DatasetError`` names what is missing or malformed.
+
+        One that takes options (a nested ``Params``) is opened by ``open(path, params)``.
+        """
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -71,6 +78,14 @@ class Dataset(Protocol):
 
     def scenes(self) -> tuple[str, ...] | None:
         """Return the true scene label of every frame, if there are any."""
+
+
+@runtime_checkable
+class LabelledImages(Dataset, Protocol):
+    """A data set of single images with scene labels: no sequence, and each with its own camera."""
+
+    is_train: NDArray[np.bool_]
+    """(N,) for each image, whether the official split trains with it; else it tests."""
 
 
 @runtime_checkable

@@ -19,13 +19,28 @@ from slam_bof.ports import Dataset
 from slam_bof.types import Params
 from slam_bof.validation import describe_error
 
-__all__ = ["PORTS", "Listing", "build", "check_options", "listing", "load", "names", "open_dataset"]
+__all__ = [
+    "PORTS",
+    "Listing",
+    "Recognition",
+    "build",
+    "check_options",
+    "listing",
+    "load",
+    "names",
+    "open_dataset",
+    "recognise_dataset",
+]
 
 PORTS = ("datasets", "odometry", "verifiers", "backends", "descriptors")
 """The entry-point groups, without their ``slam_bof.`` before it."""
 
 PIP_NAMES = {"cv2": "opencv-python-headless", "sklearn": "scikit-learn", "yaml": "pyyaml"}
 """What pip calls a library, where that is not its import name."""
+
+
+N_LISTED = 8
+"""How many entries of a folder an error lists."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +52,18 @@ class Listing:
     target: str
     distribution: str
     version: str
+
+
+@dataclass(frozen=True, slots=True)
+class Recognition:
+    """Which data-set plug-in a folder or file is for, and by what that was told."""
+
+    name: str
+    why: str
+
+    def __str__(self) -> str:
+        """Say both in words."""
+        return f"recognised as {self.name}: {self.why}"
 
 
 def names(port: str) -> list[str]:
@@ -117,30 +144,82 @@ def build(port: str, name: str, options: Mapping[str, Any] | None = None) -> Any
     return plugin() if params is None else plugin(params)
 
 
-def open_dataset(path: Path, name: str = "auto") -> Dataset:
+def recognise_dataset(path: Path) -> Recognition:
+    """Find the data-set plug-in for a folder or file by its content.
+
+    Raises
+    ------
+    DatasetError
+        If there is nothing, no plug-in recognises it, or several do.
+    """
+    if not path.exists():
+        raise DatasetError(f"{path}: found nothing, expected the folder of a sequence")
+    found, missing = _recognisers(path)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        reasons = " and ".join(f"{item.name} ({item.why})" for item in found)
+        raise DatasetError(
+            f"{path}: found {reasons}, expected one layout; choose by --dataset {found[0].name} "
+            f"or {', '.join(item.name for item in found[1:])}"
+        )
+    layouts = ", ".join(names("datasets")) or "none installed"
+    if path.is_dir():
+        expected = f"found no known layout, expected one of: {layouts}"
+        said = "; ".join([expected, _content(path), *missing])
+    else:
+        expected = f"found a file, expected the folder of a sequence, or a file that {layouts} read"
+        said = "; ".join([expected, *missing])
+    raise DatasetError(f"{path}: {said}")
+
+
+def open_dataset(
+    path: Path, name: str = "auto", options: Mapping[str, Any] | None = None
+) -> Dataset:
     """Open a sequence with the data-set plug-in of that name, or the one that recognises it.
 
     Raises
     ------
     DatasetError
-        If there is no such folder, none recognises it, or it is malformed.
-    PluginError
-        As ``load``.
+        If there is no such folder, none or several recognise it, or it is malformed.
+    ConfigError, PluginError
+        As ``check_options``.
     """
-    if name != "auto":
-        opened: Dataset = load("datasets", name).open(path)
-        return opened
-    if not path.is_dir():
-        found = "a file" if path.exists() else "nothing"
-        raise DatasetError(f"{path}: found {found}, expected the folder of a sequence")
-    layouts = names("datasets")
-    for layout in layouts:
-        plugin: type[Dataset] = load("datasets", layout)
-        if plugin.recognises(path):
-            return plugin.open(path)
-    raise DatasetError(
-        f"{path}: found no known layout, expected one of: {', '.join(layouts) or 'none installed'}"
-    )
+    if name == "auto":
+        name = recognise_dataset(path).name
+    params = check_options("datasets", name, options)
+    plugin = load("datasets", name)
+    opened: Dataset = plugin.open(path) if params is None else plugin.open(path, params)
+    return opened
+
+
+def _recognisers(path: Path) -> tuple[list[Recognition], list[str]]:
+    """Return who recognises a path, and which plug-ins could not be asked, and why."""
+    found, missing = [], []
+    for layout in names("datasets"):
+        try:
+            plugin: type[Dataset] = load("datasets", layout)
+        except PluginError as error:
+            missing.append(str(error))
+            continue
+        why = plugin.recognises(path)
+        if why:
+            found.append(Recognition(layout, why if isinstance(why, str) else "its content"))
+    return found, missing
+
+
+def _content(path: Path) -> str:
+    """Say what stands in a folder, and whether one below it would be recognised."""
+    entries = sorted(path.iterdir())
+    listed = [entry.name + "/" * entry.is_dir() for entry in entries[:N_LISTED]]
+    if len(entries) > N_LISTED:
+        listed.append(f"{len(entries) - N_LISTED} more")
+    said = f"in it: {', '.join(listed) or 'nothing'}"
+    for folder in (entry for entry in entries[:N_LISTED] if entry.is_dir()):
+        found, _ = _recognisers(folder)
+        if found:
+            return f"{said}; did you mean {folder} ({found[0].name})?"
+    return said
 
 
 def _found(port: str) -> dict[str, EntryPoint]:

@@ -80,8 +80,11 @@ def run_sequence(
     *,
     observer: Observer | None = None,
     max_frames: int | None = None,
+    remarks: Sequence[str] = (),
 ) -> RunResult:
     """Run the mini-SLAM over a sequence and write everything into a new folder under ``out``.
+
+    ``remarks`` are lines for the head of ``run.log``.
 
     Raises
     ------
@@ -96,6 +99,8 @@ def run_sequence(
     closer = LoopCloser.from_config(config, clock=clock)
     folder = _make_folder(out)
     with _naming(folder), _logging_to(folder / "run.log"):
+        for remark in remarks:
+            logger.info(remark)
         logger.info("%s of %s, %d frames", dataset.sequence, dataset.name, len(dataset))
         (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
         with MapStore.create(folder / "map.db") as store:

@@ -19,6 +19,7 @@ _ROWS = """
     gravity views viewstack spectra panorama slices alignment recogniser tracking
     scenes keyframes loops covisibility parts consistency joining verification model
     schema rows store queries
+    download_catalogue download_http download_archive download recording realsense
     registry config slam minislam mapping
     evaluation recognition metrics synthetic training bench retrieval
     figures matrices page misses report runs run cli
@@ -31,6 +32,7 @@ OPEN_TO_PLUGINS = set(
     [
         "errors",
         "types",
+        "validation",
         "native",
         "se3",
         "trajectory",

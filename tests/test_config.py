@@ -133,3 +133,15 @@ def test_complete_looks_into_options() -> None:
 def test_configurations_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="frozen"):
         Config().seed = 3  # type: ignore[misc]
+
+
+def test_a_data_set_takes_options() -> None:
+    assert config.override(Config(), ["dataset=tum"]).dataset == PluginChoice(name="tum")
+    chosen = config.override(Config(), ["dataset.name=tum", "dataset.options.camera=infrared"])
+    assert config.complete(chosen).dataset.options["camera"] == "infrared"
+    assert config.complete(Config()).dataset == PluginChoice(name="auto")
+    wrong = config.override(Config(), ["dataset.name=tum", "dataset.options.camra=x"])
+    with pytest.raises(ConfigError, match="unknown key 'camra'; did you mean 'camera'"):
+        config.complete(wrong)
+    with pytest.raises(PluginError, match="no datasets plug-in 'tmu'"):
+        config.complete(config.override(Config(), ["dataset=tmu"]))

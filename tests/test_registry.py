@@ -2,12 +2,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
 
 from slam_bof import registry
-from slam_bof.errors import ConfigError, PluginError
+from slam_bof.errors import ConfigError, DatasetError, PluginError
 
 
 @pytest.fixture
@@ -102,3 +103,81 @@ def test_only_the_named_plugin_is_imported() -> None:
         "assert not found, found"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# Data sets by their content
+
+
+class Layout:
+    """A data set that recognises folders with a file of its name."""
+
+    file = "mine"
+
+    @classmethod
+    def recognises(cls, path: Path) -> str | bool:
+        return cls.file if (path / cls.file).exists() else ""
+
+
+class OtherLayout(Layout):
+    file = "other"
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        return (path / cls.file).exists()
+
+
+@pytest.fixture
+def layouts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two data sets in place of those that come along, and one whose library is missing."""
+    found = {
+        "mine": EntryPoint("mine", f"{__name__}:Layout", "slam_bof.datasets"),
+        "other": EntryPoint("other", f"{__name__}:OtherLayout", "slam_bof.datasets"),
+        "needy": EntryPoint("needy", "stranger_needy:Dataset", "slam_bof.datasets"),
+    }
+    monkeypatch.setattr(registry, "_found", lambda port: found if port == "datasets" else {})
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(DatasetError) as caught:
+        registry.recognise_dataset(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.usefixtures("stranger", "layouts")
+def test_a_layout_is_recognised_and_says_by_what(tmp_path: Path) -> None:
+    folder = tmp_path / "a"
+    folder.mkdir()
+    (folder / "mine").touch()
+    assert str(registry.recognise_dataset(folder)) == "recognised as mine: mine"
+    (folder / "mine").rename(folder / "other")
+    assert str(registry.recognise_dataset(folder)) == "recognised as other: its content"
+
+
+@pytest.mark.usefixtures("stranger", "layouts")
+def test_two_layouts_at_once_are_refused(tmp_path: Path) -> None:
+    for name in ("mine", "other"):
+        (tmp_path / name).touch()
+    assert refused(tmp_path).endswith(
+        "found mine (mine) and other (its content), expected one layout; "
+        "choose by --dataset mine or other"
+    )
+
+
+@pytest.mark.usefixtures("stranger", "layouts")
+def test_an_unknown_layout_is_told_with_what_is_there_and_who_was_not_asked(tmp_path: Path) -> None:
+    folder = tmp_path / "a"
+    folder.mkdir()
+    assert "found no known layout, expected one of: mine, needy, other; in it: nothing" in refused(
+        folder
+    )
+    assert "plug-in 'needy' needs cv9_of_no_one, which is not installed" in refused(folder)
+    for number in range(12):
+        (folder / f"{number:02d}.txt").touch()
+    assert "in it: 00.txt, 01.txt, " in refused(folder)
+    assert "07.txt, 4 more" in refused(folder)
+    (folder / "00").mkdir()
+    (folder / "00" / "mine").touch()
+    assert f"did you mean {folder / '00'} (mine)?" in refused(folder)
+    assert "00.txt: found a file, expected the folder of a sequence" in refused(folder / "00.txt")
+    assert "none: found nothing, expected the folder" in refused(folder / "none")

@@ -54,9 +54,15 @@ class SevenScenes:
         self._scenes = self._read_scenes()
 
     @classmethod
-    def recognises(cls, path: Path) -> bool:
-        """Tell whether the folder is a sequence, or a scene with sequences, in this layout."""
-        return path.is_dir() and bool(_frame_numbers(path) or _sequences(path))
+    def recognises(cls, path: Path) -> str:
+        """Say what tells that the folder is a sequence, or a scene with some; else nothing."""
+        if not path.is_dir():
+            return ""
+        numbers = _frame_numbers(path)
+        if numbers:
+            return f"frame-{numbers[0]:06d}.depth.png"
+        sequences = _sequences(path)
+        return f"{sequences[0].name}/ with frame-XXXXXX.depth.png" if sequences else ""
 
     @classmethod
     def open(cls, path: Path) -> Self:

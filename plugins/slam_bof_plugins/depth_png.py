@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
 
-__all__ = ["check_header", "read_depth_png"]
+__all__ = ["check_header", "decode_depth_png", "read_depth_png"]
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 HEADER_LENGTH = 33
@@ -27,13 +27,20 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
     DatasetError
         If the file is missing, no PNG, of 8 bits, in colour, truncated or damaged.
     """
-    data = _read(path)
-    _header_size(path, data)
+    return decode_depth_png(_read(path), path)
+
+
+def decode_depth_png(data: bytes, where: Path | str) -> NDArray[np.uint16]:
+    """Decode the bytes of an (H, W) uint16 image; ``where`` is named in what ``DatasetError`` says.
+
+    Raises as ``read_depth_png``.
+    """
+    _header_size(where, data)
     # The chunks are checked first: decoders differ in what they make of half an image.
-    _check_chunks(path, data)
+    _check_chunks(where, data)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
-        raise DatasetError(f"{path}: found a PNG file that does not decode, expected depth")
+        raise DatasetError(f"{where}: found a PNG file that does not decode, expected depth")
     return np.asarray(image, dtype=np.uint16)
 
 
@@ -74,19 +81,19 @@ def _read(path: Path) -> bytes:
         raise DatasetError(f"{path}: depth image cannot be read: {error.strerror}") from error
 
 
-def _header_size(path: Path, data: bytes) -> tuple[int, int]:
+def _header_size(where: Path | str, data: bytes) -> tuple[int, int]:
     if len(data) < HEADER_LENGTH or not data.startswith(SIGNATURE) or data[12:16] != b"IHDR":
-        raise NotAPng(f"{path}: found no PNG file, expected a 16-bit grey PNG")
+        raise NotAPng(f"{where}: found no PNG file, expected a 16-bit grey PNG")
     width, height, bits, colour = struct.unpack(">IIBB", data[16:26])
     if colour != GREY:
         kind = "a palette" if colour == PALETTE else "colour"
-        raise DatasetError(f"{path}: found a PNG in {kind}, expected depth: 16-bit grey")
+        raise DatasetError(f"{where}: found a PNG in {kind}, expected depth: 16-bit grey")
     if bits != 16:
-        raise DatasetError(f"{path}: found a {bits}-bit PNG, expected depth: 16-bit grey")
+        raise DatasetError(f"{where}: found a {bits}-bit PNG, expected depth: 16-bit grey")
     return height, width
 
 
-def _check_chunks(path: Path, data: bytes) -> None:
+def _check_chunks(where: Path | str, data: bytes) -> None:
     """Walk the chunks (PNG specification, section 5) to the last one, checking their CRCs."""
     view = memoryview(data)
     at = len(SIGNATURE)
@@ -97,10 +104,10 @@ def _check_chunks(path: Path, data: bytes) -> None:
             break
         (crc,) = struct.unpack_from(">I", data, end - 4)
         if crc != zlib.crc32(view[at + 4 : end - 4]):
-            raise DatasetError(f"{path}: found a damaged PNG file, expected a whole one")
+            raise DatasetError(f"{where}: found a damaged PNG file, expected a whole one")
         if data[at + 4 : at + 8] == b"IEND":
             return
         at = end
     raise DatasetError(
-        f"{path}: found a truncated PNG file of {len(data)} bytes, expected a whole one"
+        f"{where}: found a truncated PNG file of {len(data)} bytes, expected a whole one"
     )

@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 
 from slam_bof.cli.benching import bench
 from slam_bof.cli.evaluating import evaluate
+from slam_bof.cli.fetching import download, record
 from slam_bof.cli.maps import export, query, report
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
@@ -56,7 +57,9 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (demo, run, query, report, export, bench, plugins, config, doctor, version):
+for command in (
+    demo, run, query, report, export, bench, download, record, plugins, config, doctor, version
+):  # fmt: skip
     app.command()(command)
 app.add_typer(evaluate, name="evaluate")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -32,14 +32,20 @@ SUMMARY = (
 
 
 def run(
-    sequence: Annotated[Path, typer.Argument(help="Folder of a sequence of depth frames.")],
+    sequence: Annotated[
+        Path, typer.Argument(help="Folder of a sequence of depth frames, or a .bag or .sens file.")
+    ],
     out: OUT = Path("runs"),
     config: Annotated[
         str, typer.Option("--config", "-c", metavar="PRESET|FILE", help="Parameters.")
     ] = "indoor",
     assignments: SET = None,
     dataset: Annotated[
-        str | None, typer.Option(help="Layout of the folder; auto looks at it.")
+        str | None,
+        typer.Option(
+            help="Layout of the folder, as slam-bof plugins lists them; auto looks at it. "
+            "Its options: --set dataset.options.KEY=VALUE."
+        ),
     ] = None,
     model: Annotated[str | None, typer.Option(help="Model file, or default.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random.")] = None,
@@ -51,7 +57,9 @@ def run(
     from slam_bof import config as configs
 
     chosen = configs.override(configs.resolve(config), assignments or [])
-    given = {"dataset": dataset, "model": model, "seed": seed}
+    given: dict[str, Any] = {"model": model, "seed": seed}
+    if dataset is not None:
+        given["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
     chosen = chosen.model_copy(update={k: v for k, v in given.items() if v is not None})
     result = _run(sequence, chosen, out, max_frames=max_frames, quiet=quiet)
     _show(result, as_json=as_json)
@@ -83,11 +91,26 @@ def _run(
 ) -> RunResult:
     from slam_bof import registry
     from slam_bof.cli.console import FrameBar
+    from slam_bof.errors import DatasetError
+    from slam_bof.ports import LabelledImages
     from slam_bof.run import run_sequence
 
-    dataset = registry.open_dataset(sequence, config.dataset)
+    name, remarks = config.dataset.name, []
+    if name == "auto":
+        found = registry.recognise_dataset(sequence)
+        name, remarks = found.name, [f"{sequence}: {found}"]
+        if not quiet:
+            typer.echo(remarks[0], err=True)
+    dataset = registry.open_dataset(sequence, name, config.dataset.options)
+    if isinstance(dataset, LabelledImages):
+        raise DatasetError(
+            f"{sequence}: found single images of {name}, expected a sequence; "
+            "they are for training and judging scene labels"
+        )
     with FrameBar(dataset.sequence, quiet=quiet) as observer:
-        return run_sequence(dataset, config, out, observer=observer, max_frames=max_frames)
+        return run_sequence(
+            dataset, config, out, observer=observer, max_frames=max_frames, remarks=remarks
+        )
 
 
 def _show(result: RunResult, *, as_json: bool) -> None:

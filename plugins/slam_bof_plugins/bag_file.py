@@ -1,0 +1,161 @@
+"""ROS bags as files: ROS 1, ROS 2 (SQLite) and MCAP, read through rosbags; times, random access."""
+
+from __future__ import annotations
+
+import struct
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import Connection
+from rosbags.typesys import Stores, get_typestore
+
+from slam_bof.errors import DatasetError
+
+__all__ = ["BagFile", "Topic", "bag_kind", "find_bag"]
+
+KINDS = {
+    ".bag": ("a ROS 1 bag", b"#ROSBAG V2.0\n"),
+    ".mcap": ("an MCAP file", b"\x89MCAP0\r\n"),
+    ".db3": ("a ROS 2 database", b"SQLite format 3\0"),
+}
+METADATA = "metadata.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """A topic of a bag: its name, the type of its messages, and how many there are."""
+
+    name: str
+    msgtype: str
+    n_messages: int
+
+
+class BagFile:
+    """An open bag. Messages are found by topic and number, and none is kept.
+
+    Raises
+    ------
+    DatasetError
+        Here and in all methods: if the file is damaged or cut off.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._last: tuple[str, int, Iterator[tuple[Connection, int, bytes]]] | None = None
+        with self._naming():
+            # Older ROS 2 bags do not say what their messages look like.
+            store = get_typestore(Stores.ROS2_HUMBLE)
+            self._reader = AnyReader([path], default_typestore=store)
+            self._reader.open()
+        # A data set is not closed by whoever reads it: the file goes with the last reference.
+        weakref.finalize(self, self._reader.close)
+        self.topics = [
+            Topic(name, info.msgtype or "", info.msgcount)
+            for name, info in sorted(self._reader.topics.items())
+        ]
+
+    def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
+        """Yield the time in ns and the message, one by one, of a topic."""
+        with self._naming():
+            for connection, time_ns, raw in self._reader.messages(self._connections(topic)):
+                yield time_ns, self._reader.deserialize(raw, connection.msgtype)
+
+    def first(self, topic: str) -> Any:
+        """Return the first message of a topic; None if there is none."""
+        return next((message for _, message in self.messages(topic)), None)
+
+    def times(self, topic: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return when messages with a header were received and stamped, (N,) each, in ns.
+
+        The file is read through, but no message is decoded or kept.
+        """
+        received, stamped = [], []
+        with self._naming():
+            for _, time_ns, raw in self._reader.messages(self._connections(topic)):
+                received.append(time_ns)
+                stamped.append(self._stamp_ns(raw))
+        return np.array(received, np.int64), np.array(stamped, np.int64)
+
+    def message(self, topic: str, index: int, received: NDArray[np.int64]) -> Any:
+        """Return a message by its number, given when all of its topic were ``received``.
+
+        Reading on from the last one is fast; elsewhere the bag's index is asked by time.
+        """
+        time_ns = int(received[index])
+        with self._naming():
+            messages: Iterator[tuple[Connection, int, bytes]]
+            if self._last is None or self._last[:2] != (topic, index):
+                messages = self._reader.messages(self._connections(topic), start=time_ns)
+                for _ in range(index - int(np.searchsorted(received, time_ns))):
+                    next(messages)  # received at the very same time
+            else:
+                messages = self._last[2]
+            self._last = None
+            connection, found_ns, raw = next(messages)
+            if found_ns != time_ns:
+                raise DatasetError(f"{self.path}: found no message {index} of {topic} at its time")
+            self._last = (topic, index + 1, messages)
+            return self._reader.deserialize(raw, connection.msgtype)
+
+    def _connections(self, topic: str) -> list[Connection]:
+        return [c for c in self._reader.connections if c.topic == topic]
+
+    def _stamp_ns(self, raw: bytes) -> int:
+        """Read the time of a message's header, which comes first, without decoding the rest."""
+        if self._reader.is2:
+            order = "<" if raw[1] & 1 else ">"
+            seconds, rest = struct.unpack_from(f"{order}iI", raw, 4)
+        else:
+            seconds, rest = struct.unpack_from("<II", raw, 4)  # behind the sequence number
+        return int(seconds) * 10**9 + int(rest)
+
+    @contextmanager
+    def _naming(self) -> Iterator[None]:
+        """Turn whatever is raised on bytes that are no bag into one line that names the file."""
+        try:
+            yield
+        except (DatasetError, GeneratorExit):
+            raise
+        # Damaged bytes make the library and the decoders below it raise nearly anything.
+        except Exception as error:
+            reason = " ".join(str(error).split()) or type(error).__name__
+            raise DatasetError(
+                f"{self.path}: found a bag that cannot be read ({reason}), expected a whole one; "
+                "rosbag reindex, ros2 bag reindex or mcap recover may mend it"
+            ) from error
+
+
+def bag_kind(path: Path) -> str:
+    """Say what a bag begins as, such as ``a ROS 1 bag``; empty if it is none."""
+    if path.is_dir():
+        try:
+            text = (path / METADATA).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            return ""
+        return "a ROS 2 bag" if "rosbag2_bagfile_information" in text else ""
+    try:
+        with path.open("rb") as file:
+            head = file.read(16)
+    except OSError:
+        return ""
+    for kind, magic in KINDS.values():
+        if head.startswith(magic):
+            return kind
+    return ""
+
+
+def find_bag(path: Path) -> Path | None:
+    """Return the bag that a path names, or the only one in the folder; None without one."""
+    if not path.is_dir():
+        return path if path.suffix in KINDS else None
+    if (path / METADATA).is_file() and bag_kind(path):
+        return path
+    bags = [file for file in path.iterdir() if file.suffix in KINDS and file.is_file()]
+    return bags[0] if len(bags) == 1 else None

@@ -1,0 +1,251 @@
+"""ROS bags: depth images of one topic with their CameraInfo, and poses if wished.
+
+ROS 1 ``.bag`` files, ROS 2 folders with ``metadata.yaml`` (SQLite or MCAP), and single ``.mcap``
+and ``.db3`` files. Depth is 16UC1 in mm or 32FC1 in m, raw or compressed (see ``bag_images``).
+The depth topic is found by its coding, if there is only one; the camera is the ``camera_info``
+beside it, or else the only one of the same frame. Times are of the messages' headers, or, where
+those do not grow, of their reception. Needs ``pip install slam-bof[bag]``.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from slam_bof.errors import DatasetError
+from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
+from slam_bof_plugins.bag_file import KINDS, BagFile, Topic, bag_kind, find_bag
+from slam_bof_plugins.bag_images import COMPRESSED, IMAGE, decode_depth, encoding
+from slam_bof_plugins.bag_poses import recorded_poses
+from slam_bof_plugins.dataset_files import check_stamps, sequence_name
+
+__all__ = ["BagParams", "RosBag"]
+
+logger = logging.getLogger(__name__)
+
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
+OPTION = "--set dataset.options"
+
+
+class BagParams(Params):
+    """Which topics of a bag to read."""
+
+    topic: str | None = Field(None, description="of depth images; by default the only one")
+    camera_info: str | None = Field(None, description="by default the one beside the images")
+    intrinsics: tuple[float, float, float, float] | None = Field(
+        None, description="fx, fy, cx, cy in px, in place of a camera_info"
+    )
+    groundtruth: str | None = Field(
+        None, description="a topic of odometry, poses or tf to take as true poses"
+    )
+    world_frame: str = Field("map", description="of tf: the frame that the poses are in")
+    camera_frame: str | None = Field(None, description="by default that of the depth images")
+    max_gap_s: float = Field(0.2, gt=0, description="between two poses to interpolate, in s")
+
+
+class RosBag:
+    """The depth images of one topic of a ROS bag."""
+
+    name: ClassVar[str] = "bag"
+    Params = BagParams
+
+    def __init__(self, bag: BagFile, topic: Topic, params: BagParams) -> None:
+        self.sequence = sequence_name(bag.path.with_suffix(""))
+        self._bag = bag
+        self._topic = topic
+        self._received, stamped = bag.times(topic.name)
+        self._stamps_s = _times(bag, topic, self._received, stamped)
+        first = bag.first(topic.name)
+        shape = decode_depth(first, topic.msgtype, self._where(0)).shape
+        self.intrinsics = _camera(bag, topic, first, shape, params)
+        self._groundtruth: Trajectory | None = None
+        if params.groundtruth is not None:
+            self._groundtruth = recorded_poses(
+                bag,
+                params.groundtruth,
+                self._stamps_s,
+                camera_frame=params.camera_frame or str(first.header.frame_id),
+                world_frame=params.world_frame,
+                max_gap_s=params.max_gap_s,
+            )
+            if np.isnan(self._groundtruth.poses).any(axis=(1, 2)).all():
+                raise DatasetError(
+                    f"{bag.path}: {params.groundtruth}: found no pose near the time of any frame, "
+                    "expected some"
+                )
+
+    @classmethod
+    def recognises(cls, path: Path) -> str:
+        """Say what kind of bag it is; nothing if it is none."""
+        bag = find_bag(path)
+        kind = bag_kind(bag) if bag else ""
+        return f"{bag.name}: {kind}" if bag and kind else ""
+
+    @classmethod
+    def open(cls, path: Path, params: BagParams | None = None) -> Self:
+        """Open a bag, and read it through once for the times of its images.
+
+        Raises
+        ------
+        DatasetError
+            If it is no bag or damaged; if there is no depth topic, no camera, or several of them
+            and none was named.
+        """
+        bag_path = find_bag(path)
+        if bag_path is None:
+            raise DatasetError(
+                f"{path}: found no bag, expected one .bag, .mcap or .db3 file, "
+                "or a folder with metadata.yaml"
+            )
+        kind = bag_kind(bag_path)
+        expected = "a ROS 2 bag" if bag_path.is_dir() else KINDS[bag_path.suffix][0]
+        if kind != expected:
+            found = kind or "something else"
+            raise DatasetError(f"{bag_path}: found {found}, expected {expected}, as its name says")
+        params = params or BagParams()
+        bag = BagFile(bag_path)
+        return cls(bag, _depth_topic(bag, params.topic), params)
+
+    def __len__(self) -> int:
+        """Return the number of depth images."""
+        return len(self._stamps_s)
+
+    def frame(self, index: int) -> DepthFrame:
+        """Read a frame: uint16 mm of 16UC1, float32 m of 32FC1."""
+        index = range(len(self))[index]
+        message = self._bag.message(self._topic.name, index, self._received)
+        depth = decode_depth(message, self._topic.msgtype, self._where(index))
+        expected = (self.intrinsics.height, self.intrinsics.width)
+        if depth.shape != expected:
+            raise DatasetError(
+                f"{self._where(index)}: found {depth.shape[1]}x{depth.shape[0]} pixels, "
+                f"expected {expected[1]}x{expected[0]}"
+            )
+        return DepthFrame(float(self._stamps_s[index]), depth, self.intrinsics)
+
+    def color(self, index: int) -> None:
+        """Return None: colour cameras of bags are not registered to depth."""
+
+    def gray(self, index: int) -> None:
+        """Return None."""
+
+    def groundtruth(self) -> Trajectory | None:
+        """Return the poses of the topic that the options name, NaN where there is none near."""
+        return self._groundtruth
+
+    def scenes(self) -> None:
+        """Return None: no labels."""
+
+    def _where(self, index: int) -> str:
+        return f"{self._bag.path}: {self._topic.name}, image {index}"
+
+
+def _depth_topic(bag: BagFile, wanted: str | None) -> Topic:
+    images = [item for item in bag.topics if item.msgtype in (IMAGE, COMPRESSED)]
+    if wanted is not None:
+        for item in images:
+            if item.name == wanted and item.n_messages:
+                return item
+        listed = ", ".join(item.name for item in images) or "none"
+        raise DatasetError(f"{bag.path}: found no images on {wanted}, expected one of: {listed}")
+    coded = {item.name: _encoding(bag, item) for item in images}
+    depth = {item.name: item for item in images if _is_depth(item.name, coded[item.name])}
+    # The same images, raw and compressed, are no choice.
+    depth = {name: item for name, item in depth.items() if name.rpartition("/")[0] not in depth}
+    if len(depth) == 1:
+        return next(iter(depth.values()))
+    listed = ", ".join(f"{name} ({coded[name] or 'empty'})" for name in (depth or coded))
+    if depth:
+        first = next(iter(depth))
+        raise DatasetError(
+            f"{bag.path}: found {len(depth)} depth topics: {listed}, "
+            f"expected one; choose by {OPTION}.topic={first}"
+        )
+    raise DatasetError(
+        f"{bag.path}: found no depth images (of images: {listed or 'none'}), "
+        "expected a topic of 16UC1 or 32FC1, raw or compressedDepth"
+    )
+
+
+def _encoding(bag: BagFile, topic: Topic) -> str:
+    first = bag.first(topic.name) if topic.n_messages else None
+    return "" if first is None else encoding(first, topic.msgtype)
+
+
+def _is_depth(name: str, coded: str) -> bool:
+    """Tell depth from infrared images, which have 16 bits too."""
+    kind = coded.split(";")[0]
+    if kind == "mono16":  # of the RealSense viewer
+        return "depth" in name.lower()
+    return kind in ("16UC1", "32FC1") and "jpeg" not in coded
+
+
+def _times(
+    bag: BagFile, topic: Topic, received: NDArray[np.int64], stamped: NDArray[np.int64]
+) -> Array:
+    if (np.diff(stamped) > 0).all():
+        return np.asarray(stamped * 1e-9, np.float64)
+    logger.warning("%s: %s: stamps do not grow; taking times of reception", bag.path, topic.name)
+    stamps_s: Array = np.asarray(received * 1e-9, np.float64)
+    check_stamps(stamps_s, bag.path)
+    return stamps_s
+
+
+def _camera(
+    bag: BagFile, topic: Topic, first: Any, shape: tuple[int, ...], params: BagParams
+) -> Intrinsics:
+    height, width = shape
+    if params.intrinsics is not None:
+        return Intrinsics(width, height, *params.intrinsics)
+    name = params.camera_info or _beside(bag, topic, str(first.header.frame_id))
+    known = {item.name for item in bag.topics if item.msgtype == CAMERA_INFO}
+    info = bag.first(name) if name in known else None
+    if info is None:
+        raise DatasetError(
+            f"{bag.path}: found no camera_info {name}, expected one of: "
+            f"{', '.join(sorted(known)) or 'none here'}"
+        )
+    if (info.width, info.height) != (width, height):
+        raise DatasetError(
+            f"{bag.path}: {name}: found a camera of {info.width}x{info.height} pixels, "
+            f"expected {width}x{height} as {topic.name}"
+        )
+    # ROS 1 has the matrices in capitals.
+    K = np.asarray(info.k if hasattr(info, "k") else info.K).reshape(3, 3)
+    P = np.asarray(info.p if hasattr(info, "p") else info.P).reshape(3, 4)
+    D = np.asarray(info.d if hasattr(info, "d") else info.D)
+    if "rect" in topic.name and P[0, 0] > 0.0:
+        K = P[:, :3]
+    elif D.any():
+        logger.warning("%s: %s: lens distortion is not undone", bag.path, name)
+    if not (K[0, 0] > 0.0 and K[1, 1] > 0.0):
+        raise DatasetError(
+            f"{bag.path}: {name}: found no focal length, expected a calibrated camera"
+        )
+    return Intrinsics(width, height, *(float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
+
+
+def _beside(bag: BagFile, topic: Topic, frame: str) -> str:
+    """Return the camera_info next to the images, or else the only one, or of the same frame."""
+    infos = [item.name for item in bag.topics if item.msgtype == CAMERA_INFO and item.n_messages]
+    above = topic.name
+    for _ in range(2):  # .../image_raw and .../image_raw/compressedDepth
+        above = above.rpartition("/")[0]
+        for name in (f"{above}/camera_info", f"{above}/info/camera_info"):
+            if name in infos:
+                return name
+    if len(infos) > 1:
+        infos = [name for name in infos if bag.first(name).header.frame_id == frame] or infos
+    if len(infos) == 1:
+        logger.info("%s: taking %s for %s", bag.path, infos[0], topic.name)
+        return infos[0]
+    listed = ", ".join(infos) or "none"
+    raise DatasetError(
+        f"{bag.path}: found camera_info topics: {listed}, expected one beside {topic.name}; "
+        f"give {OPTION}.camera_info=TOPIC or {OPTION}.intrinsics=[fx,fy,cx,cy]"
+    )

@@ -1,0 +1,210 @@
+"""Unpack archives from elsewhere: checked byte by byte, and kept inside their folder.
+
+Only files and folders come out: no links, nothing outside, not more than the disk holds, and not
+a hundred times what came in.
+"""
+
+from __future__ import annotations
+
+import shutil
+import stat
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import IO
+
+from slam_bof.errors import DatasetError
+
+__all__ = ["BadArchive", "Limits", "unpack"]
+
+Progress = Callable[[int, int], None]
+"""Called with the number of bytes of the archive that are unpacked, and of all."""
+
+CHUNK_BYTES = 1 << 20
+
+
+class BadArchive(DatasetError):
+    """An archive is damaged, cut off, or none that one should unpack."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What an archive may come to.
+
+    ``ratio`` is how many times its own size, beyond ``free_of_ratio_bytes``; depth images, which
+    are compressed themselves, come to twice. ``margin_bytes`` of the disk stay free.
+    """
+
+    ratio: float = 100.0
+    free_of_ratio_bytes: int = 10_000_000
+    n_entries: int = 2_000_000
+    margin_bytes: int = 200_000_000
+
+
+def unpack(
+    archive: Path,
+    folder: Path,
+    *,
+    limits: Limits | None = None,
+    progress: Progress | None = None,
+) -> None:
+    """Unpack a .zip, .tgz or .tar.gz into a folder, and then the .zip files that it held.
+
+    Zips inside (7-Scenes has one for each sequence) are unpacked where they lie and removed; zips
+    inside those are left as they are.
+
+    Parameters
+    ----------
+    archive
+        The file; each byte of it is checked against its CRC.
+    folder
+        Made if need be. After an error, what was unpacked so far is in it.
+    limits, progress
+        How much may come out; who is told.
+
+    Raises
+    ------
+    BadArchive
+        If the archive is damaged or cut off, has a link or a name that leads elsewhere, or
+        would come to more than the limits.
+    DatasetError
+        If the disk is too full, or cannot be written.
+    """
+    limits = limits or Limits()
+    folder.mkdir(parents=True, exist_ok=True)
+    inner = [folder / name for name in _unpack_one(archive, folder, limits, progress)]
+    for nested in sorted(path for path in inner if path.suffix.lower() == ".zip"):
+        _unpack_one(nested, nested.parent, limits, progress)
+        nested.unlink()
+
+
+def _unpack_one(
+    archive: Path, folder: Path, limits: Limits, progress: Progress | None
+) -> list[PurePosixPath]:
+    """Unpack, and return the names of the files."""
+    unpack_kind = _unpack_zip if archive.suffix.lower() == ".zip" else _unpack_tar
+    budget = _Budget(archive, folder, limits)
+    with _naming(archive):
+        return unpack_kind(archive, folder, budget, progress or (lambda done, total: None))
+
+
+class _Budget:
+    """Counts what comes out of an archive."""
+
+    def __init__(self, archive: Path, folder: Path, limits: Limits) -> None:
+        self._archive = archive
+        self._n_entries = 0
+        self._n_bytes = 0
+        self._limits = limits
+        size = archive.stat().st_size
+        self._most = max(limits.ratio * size, limits.free_of_ratio_bytes)
+        self._free = shutil.disk_usage(folder).free - limits.margin_bytes
+
+    def take(self, n_bytes: int) -> None:
+        """Count an entry of so many bytes, before it is written."""
+        self._n_entries += 1
+        self._n_bytes += n_bytes
+        if self._n_entries > self._limits.n_entries:
+            self._refuse(f"more than {self._limits.n_entries} entries", "a data set")
+        if self._n_bytes > self._most:
+            self._refuse(f"more than {self._most:.0f} bytes inside", "a data set, not a bomb")
+        if self._n_bytes > self._free:
+            raise DatasetError(
+                f"{self._archive}: found {self._n_bytes} bytes inside and more, "
+                f"expected at most {self._free}, which the disk can take"
+            )
+
+    def _refuse(self, found: str, expected: str) -> None:
+        raise BadArchive(f"{self._archive}: found {found}, expected {expected}")
+
+
+def _unpack_zip(
+    archive: Path, folder: Path, budget: _Budget, progress: Progress
+) -> list[PurePosixPath]:
+    names = []
+    with zipfile.ZipFile(archive) as packed:
+        entries = packed.infolist()
+        for entry in entries:  # all of them, before the first is written
+            _inside(archive, entry.filename)
+            mode = entry.external_attr >> 16
+            if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
+                raise _elsewhere(archive, entry.filename, "a link or device")
+            budget.take(entry.file_size)
+        total = sum(entry.compress_size for entry in entries)
+        done = 0
+        for entry in entries:
+            name = _inside(archive, entry.filename)
+            if entry.filename.endswith(("/", "\\")):
+                (folder / name).mkdir(parents=True, exist_ok=True)
+            else:
+                with packed.open(entry) as source:
+                    _write(source, folder / name)
+                names.append(name)
+            done += entry.compress_size
+            progress(done, total)
+    return names
+
+
+def _unpack_tar(
+    archive: Path, folder: Path, budget: _Budget, progress: Progress
+) -> list[PurePosixPath]:
+    names = []
+    total = archive.stat().st_size
+    with archive.open("rb") as raw, tarfile.open(fileobj=raw, mode="r:gz") as packed:
+        for entry in packed:
+            name = _inside(archive, entry.name)
+            budget.take(entry.size)
+            if entry.isdir():
+                (folder / name).mkdir(parents=True, exist_ok=True)
+                continue
+            source = packed.extractfile(entry) if entry.isreg() else None
+            if source is None:
+                raise _elsewhere(archive, entry.name, "a link or device")
+            with source:
+                _write(source, folder / name)
+            names.append(name)
+            progress(raw.tell(), total)
+        # The end of the archive is not the end of the file: only there is the CRC of all.
+        while packed.fileobj is not None and packed.fileobj.read(CHUNK_BYTES):
+            pass
+    return names
+
+
+def _write(source: IO[bytes], path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        shutil.copyfileobj(source, file, CHUNK_BYTES)
+
+
+def _inside(archive: Path, name: str) -> PurePosixPath:
+    """Return the path that a name means, on any system; refuse one that leads out."""
+    path = PurePosixPath(name.replace("\\", "/"))  # as some packers on Windows have it
+    has_drive = bool(path.parts) and ":" in path.parts[0]
+    if not path.parts or path.is_absolute() or ".." in path.parts or has_drive or "\0" in name:
+        raise _elsewhere(archive, name, "a path that leads elsewhere")
+    return path
+
+
+def _elsewhere(archive: Path, name: str, what: str) -> BadArchive:
+    return BadArchive(f"{archive}: found {what}: {name[:80]!r}, expected files inside")
+
+
+@contextmanager
+def _naming(archive: Path) -> Iterator[None]:
+    """Turn what the libraries say of damaged archives into one line that names the file."""
+    try:
+        yield
+    except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError) as error:
+        reason = " ".join(str(error).split())
+        raise BadArchive(f"{archive}: found damage ({reason}), expected a whole archive") from error
+    except (NotImplementedError, RuntimeError) as error:  # a compression or a password
+        raise BadArchive(f"{archive}: cannot be unpacked: {error}") from error
+    except OSError as error:
+        if error.errno is None:  # so gzip says that a file is none
+            raise BadArchive(f"{archive}: found damage ({error}), expected an archive") from error
+        place = error.filename or archive
+        raise DatasetError(f"{place}: cannot be unpacked: {error.strerror}") from error

@@ -1,0 +1,178 @@
+"""Download one file over HTTP so that an interrupted download goes on where it stopped.
+
+What has come is in ``NAME.part``; ``NAME.part.json`` says of which version of the file. The rest
+is asked for by a range request that the server is to ignore if the file has changed
+(RFC 9110, 13.1.5 and 14.2); from a server without ranges all comes anew.
+"""
+
+from __future__ import annotations
+
+import http.client
+import json
+import logging
+import re
+import shutil
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from slam_bof.errors import DatasetError
+
+__all__ = ["Progress", "fetch"]
+
+logger = logging.getLogger(__name__)
+
+Progress = Callable[[int, int], None]
+"""Called with the number of bytes that are there, and of all (0 if the server does not say)."""
+
+CHUNK_BYTES = 1 << 20
+TIMEOUT_S = 60.0
+N_ATTEMPTS = 5
+WAIT_S = 2.0
+MARGIN_BYTES = 200_000_000
+"""Disk space that is left free."""
+
+CONTENT_RANGE = re.compile(r"bytes (?:(\d+)-\d+|\*)/(\d+)")
+PASSING = (429, 500, 502, 503, 504)
+"""Answers that may be better the next time."""
+
+
+class _Cut(Exception):
+    """The connection ended early; what came is kept."""
+
+
+class _Unreachable(_Cut):
+    """There was no connection."""
+
+
+def fetch(
+    url: str, path: Path, *, progress: Progress | None = None, wait_s: float = WAIT_S
+) -> bool:
+    """Download ``url`` to ``path``, unless it is there already; return whether it was downloaded.
+
+    Parameters
+    ----------
+    url
+        http or https.
+    path
+        The file; it appears only when it is whole.
+    progress
+        Told as bytes arrive.
+    wait_s
+        How long to wait after a first failure; twice as long after each further one.
+
+    Raises
+    ------
+    DatasetError
+        If the server cannot be reached, has no such file, sends another number of bytes than it
+        said, or the disk is too full. What has come is kept for the next call where it can be.
+    """
+    if path.is_file():
+        return False
+    if not url.startswith(("http://", "https://")):
+        raise DatasetError(f"{url}: found another kind of URL, expected http:// or https://")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.name + ".part")
+    reason = ""
+    for attempt in range(N_ATTEMPTS):
+        before = _size(part)
+        try:
+            _fetch_rest(url, part, progress or (lambda done, total: None))
+            break
+        except _Cut as error:
+            reason = str(error)
+            if isinstance(error, _Unreachable) and attempt == 0:
+                raise DatasetError(f"{url}: {reason}") from error
+            logger.warning("%s: %s, %d bytes so far", url, reason, _size(part))
+        if attempt < N_ATTEMPTS - 1 and _size(part) <= before:
+            time.sleep(wait_s * 2**attempt)
+    else:
+        raise DatasetError(
+            f"{url}: {reason} for the {N_ATTEMPTS}th time; {_size(part)} bytes are kept, "
+            "the same command goes on from there"
+        )
+    part.replace(path)
+    _notes(part).unlink(missing_ok=True)
+    return True
+
+
+def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
+    have, notes = _size(part), _read_notes(part)
+    if have and not notes.get("version"):
+        have = 0  # of which file these bytes are, nobody knows
+    request = urllib.request.Request(url, headers={"User-Agent": "slam-bof"})
+    if have:
+        request.add_header("Range", f"bytes={have}-")
+        request.add_header("If-Range", notes["version"])
+    try:
+        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
+            _receive(url, part, answer, have, progress)
+    except urllib.error.HTTPError as error:
+        error.close()
+        if error.code == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE and have:
+            match = CONTENT_RANGE.fullmatch(error.headers.get("Content-Range", ""))
+            if match and int(match[2]) == have:
+                return  # all had come, and only the renaming was missing
+            part.unlink()
+            raise _Cut("found that the file has changed; beginning anew") from error
+        if error.code in PASSING:
+            raise _Cut(f"found {error.code} {error.reason}") from error
+        raise DatasetError(f"{url}: found {error.code} {error.reason}, expected a file") from error
+    except urllib.error.URLError as error:
+        raise _Unreachable(f"cannot be reached ({error.reason})") from error
+    except (http.client.HTTPException, ConnectionError, TimeoutError) as error:
+        raise _Cut(f"connection cut ({str(error) or type(error).__name__})") from error
+
+
+def _receive(url: str, part: Path, answer: Any, have: int, progress: Progress) -> None:
+    length = int(answer.headers.get("Content-Length") or 0)
+    if answer.status == http.HTTPStatus.PARTIAL_CONTENT:
+        match = CONTENT_RANGE.fullmatch(answer.headers.get("Content-Range", ""))
+        if match is None or match[1] is None or int(match[1]) != have:
+            found = answer.headers.get("Content-Range", "no range")
+            raise DatasetError(f"{url}: found {found}, expected bytes from {have}")
+        total = int(match[2])
+    else:
+        have, total = 0, length
+    free = shutil.disk_usage(part.parent).free
+    if total - have > free - MARGIN_BYTES:
+        raise DatasetError(
+            f"{part.parent}: found {free / 1e9:.1f} GB free, "
+            f"expected {(total - have + MARGIN_BYTES) / 1e9:.1f} GB for {url}"
+        )
+    version = answer.headers.get("ETag", "")
+    if not version or version.startswith("W/"):  # a weak one does not vouch for each byte
+        version = answer.headers.get("Last-Modified", "")
+    if not have:
+        _notes(part).write_text(json.dumps({"url": url, "version": version}), encoding="utf-8")
+    done = have
+    with part.open("ab" if have else "wb") as file:
+        progress(done, total)
+        while chunk := answer.read(CHUNK_BYTES):
+            file.write(chunk)
+            done += len(chunk)
+            progress(done, total)
+    if total and done > total:
+        part.unlink()
+        raise DatasetError(f"{url}: found {done} bytes, expected {total}")
+    if done < total:
+        raise _Cut(f"connection cut at {done} of {total} bytes")
+
+
+def _size(part: Path) -> int:
+    return part.stat().st_size if part.is_file() else 0
+
+
+def _notes(part: Path) -> Path:
+    return part.with_name(part.name + ".json")
+
+
+def _read_notes(part: Path) -> dict[str, str]:
+    try:
+        notes = json.loads(_notes(part).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return notes if isinstance(notes, dict) else {}
