@@ -27,6 +27,7 @@ from pydantic import ValidationError
 from sklearn.exceptions import InconsistentVersionWarning
 
 from slam_bof.errors import ModelError
+from slam_bof.labelling import BagLabeller, Labeller
 from slam_bof.places import PlaceDescriber, PlaceParams
 from slam_bof.scenes import SceneClassifier
 from slam_bof.vocabulary import TfIdf, Vocabulary
@@ -65,6 +66,10 @@ class Model:
     def describer(self) -> PlaceDescriber:
         """Return what makes bags of frames."""
         return PlaceDescriber(self.places, self.vocabulary, self.tf_idf)
+
+    def labeller(self) -> Labeller | None:
+        """Return what labels frames; None where the model was trained without labels."""
+        return BagLabeller(self.describer(), self.scenes) if self.scenes is not None else None
 
     @cached_property
     def content_hash(self) -> str:

@@ -24,16 +24,7 @@ from slam_bof.ports import Backend, Dataset, NullObserver, Observer, Odometry
 from slam_bof.timing import StageClock
 from slam_bof.tracking import Track, Tracker
 from slam_bof.trajectory import spread_correction
-from slam_bof.types import (
-    Array,
-    Candidate,
-    DepthFrame,
-    Keyframe,
-    Loop,
-    Pose,
-    Step,
-    Trajectory,
-)
+from slam_bof.types import Array, Candidate, DepthFrame, Keyframe, Loop, Pose, Step, Trajectory
 from slam_bof.verification import LoopVerification
 
 __all__ = ["LoopCloser", "MiniSlam", "SlamResult"]
@@ -72,7 +63,7 @@ class LoopCloser:
         self.loops_left_out: list[Loop] = []
         self.backend = backend
         self._describer = model.describer()
-        self._scenes = model.scenes
+        self._labeller = model.labeller()
         self._tracker = tracker
         self._selector = selector
         self._detector = detector
@@ -215,7 +206,9 @@ class LoopCloser:
         with self._clock.stage("describe"):
             gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
-            scene = self._scenes.predict_bag(bag) if self._scenes else None
+            scene = None
+            if self._labeller is not None:
+                scene = self._labeller.label(frame, gravity_camera=gravity_camera, bag=bag)
         keyframe = Keyframe(
             len(self.keyframes),
             frame_index,
