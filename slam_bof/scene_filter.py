@@ -55,9 +55,10 @@ class SceneFilter:
         self._belief: Array | None = None
         self._stamp_s = 0.0
         self._position_m = np.zeros(3)
+        self._segment = 0
 
     def update(
-        self, scene: Scene, stamp_s: float, position_m: ArrayLike, *, apart: bool = False
+        self, scene: Scene, stamp_s: float, position_m: ArrayLike, *, segment: int = 0
     ) -> Scene:
         """Take what the classifier says of a keyframe; return what is likely by now.
 
@@ -67,19 +68,20 @@ class SceneFilter:
             The keyframe's own label, of the same classes every time.
         stamp_s, position_m
             When and where (3,) it is, in any one frame.
-        apart
-            Where it is, is not known relative to the keyframe before.
+        segment
+            Where this changes, positions mean nothing to those before.
         """
         position_m = np.asarray(position_m, dtype=np.float64)
         evidence = _evidence(scene.probabilities, self._params)
         if self._belief is None:
             belief = evidence
         else:
-            way_m = 0.0 if apart else float(np.linalg.norm(position_m - self._position_m))
+            near = segment == self._segment
+            way_m = float(np.linalg.norm(position_m - self._position_m)) if near else 0.0
             change = _change(stamp_s - self._stamp_s, way_m, self._params)
             belief = evidence * _predict(self._belief, change)
         self._belief = belief / belief.sum()
-        self._stamp_s, self._position_m = stamp_s, position_m
+        self._stamp_s, self._position_m, self._segment = stamp_s, position_m, segment
         return decide(self._belief, scene.classes, self._params.min_probability)
 
 
@@ -89,7 +91,7 @@ def smooth(
     positions_m: ArrayLike,
     params: SceneFilterParams,
     *,
-    apart: ArrayLike | None = None,
+    segments: ArrayLike | None = None,
 ) -> list[Scene]:
     """Label keyframes by all before and all after them (forward-backward algorithm).
 
@@ -101,8 +103,8 @@ def smooth(
         (K,) and (K, 3): when and where they are.
     params
         Of the model.
-    apart
-        (K,) whether a keyframe's place is unknown relative to the one before.
+    segments
+        (K,) where this changes, positions mean nothing to those before; by default never.
     """
     if not scenes:
         return []
@@ -110,8 +112,8 @@ def smooth(
     positions_m = np.asarray(positions_m, dtype=np.float64)
     evidence = np.array([_evidence(scene.probabilities, params) for scene in scenes])
     ways_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
-    if apart is not None:
-        ways_m[np.asarray(apart, dtype=bool)[1:]] = 0.0
+    if segments is not None:
+        ways_m[np.diff(np.asarray(segments)) != 0] = 0.0
     changes = _change(np.diff(stamps_s), ways_m, params)
     forward, backward = evidence.copy(), np.ones_like(evidence)
     forward[0] /= forward[0].sum()

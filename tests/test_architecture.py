@@ -17,7 +17,7 @@ _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     gravity views viewstack spectra panorama slices alignment recogniser tracking
-    scenes labelling scene_filter regions
+    scenes labelling scene_filter regions scene_map
     keyframes loops covisibility parts consistency joining verification model
     schema rows store queries
     registry config slam mapping

@@ -76,15 +76,15 @@ def test_far_away_is_another_room_and_an_unknown_way_is_none():
     p = np.array([0.8, 0.1, 0.1])
     one, two = scenes_of(np.array([p, np.full(3, 1 / 3)]))
 
-    def after(x_m: float, *, apart: bool = False) -> float:
+    def after(x_m: float, *, segment: int = 0) -> float:
         filter_ = SceneFilter(PARAMS)
         filter_.update(one, 0.0, (0, 0, 0))
-        return float(filter_.update(two, 0.1, (x_m, 0, 0), apart=apart).probabilities[0])
+        return float(filter_.update(two, 0.1, (x_m, 0, 0), segment=segment).probabilities[0])
 
     assert after(0.0) > after(1.0) > after(100.0)
-    assert after(100.0, apart=True) == after(0.0)
+    assert after(100.0, segment=1) == after(0.0)
     far = np.array([[0, 0, 0], [100.0, 0, 0]])
-    whole = smooth([one, two], [0.0, 0.1], far, PARAMS, apart=[False, True])
+    whole = smooth([one, two], [0.0, 0.1], far, PARAMS, segments=[0, 1])
     assert whole[1].probabilities[0] == pytest.approx(after(0.0))
 
 
