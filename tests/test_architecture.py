@@ -18,7 +18,7 @@ _ROWS = """
     points layers contours bof packing vocabulary index places
     gravity views viewstack spectra panorama slices alignment recogniser tracking
     scenes labelling scene_filter regions scene_map
-    keyframes loops covisibility parts consistency joining verification model
+    keyframes loops covisibility parts consistency joining verification model single
     schema rows store queries
     registry config slam mapping
     evaluation recognition metrics synthetic training bench retrieval

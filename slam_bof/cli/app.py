@@ -10,7 +10,8 @@ from typer.core import TyperGroup
 
 from slam_bof.cli.benching import bench
 from slam_bof.cli.evaluating import evaluate
-from slam_bof.cli.maps import export, query, report
+from slam_bof.cli.maps import export, report
+from slam_bof.cli.querying import QueryCommand, query
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
 from slam_bof.errors import SlamBofError
@@ -57,7 +58,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in (demo, run, query, report, export, bench, plugins, config, doctor, version):
-    app.command()(command)
+    app.command(cls=QueryCommand if command is query else None)(command)
 app.add_typer(evaluate, name="evaluate")
 
 
