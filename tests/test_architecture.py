@@ -17,12 +17,13 @@ _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     gravity views viewstack spectra panorama slices alignment recogniser tracking
-    scenes labelling scene_filter regions scene_map
+    scenes labelling scene_filter regions scene_map images
     keyframes loops covisibility parts consistency joining verification model single
     schema rows store queries
-    registry config slam mapping
+    registry labelled config slam mapping
     evaluation recognition metrics synthetic training bench retrieval
-    figures matrices page misses report runs run cli
+    scene_splits scene_scores scene_methods scene_protocols
+    figures scene_figures matrices page misses scene_page report runs run cli
 """
 ORDER = _ROWS.split()
 

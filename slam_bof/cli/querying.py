@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 __all__ = ["QueryCommand", "map_file", "query"]
 
-IMAGES = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg")
-"""Files that are asked about by themselves; those of 8 bits are told what is expected."""
 LISTS = {"--near": 3, "--intrinsics": 4}
 """Options of several numbers, which may be written with commas or with spaces between."""
 
@@ -132,8 +130,10 @@ def query(
 
     Of a depth image by itself, a model says which scene it shows.
     """
+    from slam_bof.images import is_image
+
     form = "json" if as_json else format_
-    if path.suffix.lower() in IMAGES and not path.is_dir():
+    if is_image(path) and not path.is_dir():
         asked = {"--time": time, "--keyframe": keyframe, "--near": near, "--scene": scene}
         _refuse([name for name, value in asked.items() if value is not None], "a map")
         _ask_image(path, model or "default", intrinsics, depth_scale, min_probability, form)
