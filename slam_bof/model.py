@@ -32,7 +32,15 @@ from slam_bof.places import PlaceDescriber, PlaceParams
 from slam_bof.scenes import SceneClassifier
 from slam_bof.vocabulary import TfIdf, Vocabulary
 
-__all__ = ["FORMAT_VERSION", "Model", "classifier_bytes", "load", "load_default", "save"]
+__all__ = [
+    "FORMAT_VERSION",
+    "Model",
+    "classifier_bytes",
+    "load",
+    "load_default",
+    "load_scenes",
+    "save",
+]
 
 FORMAT = "slam_bof model"
 FORMAT_VERSION = 1
@@ -43,6 +51,8 @@ TRUSTED_TYPES = [
     "slam_bof.scenes.SceneClassifier",
     "sklearn.calibration._CalibratedClassifier",
     "sklearn.calibration._SigmoidCalibration",
+    "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
+    "sklearn.tree._tree.Tree",
 ]
 """What a classifier may be made of, beyond what skops itself trusts."""
 
@@ -163,7 +173,7 @@ def _build(manifest: dict[str, Any], entries: Entries) -> Model:
         places=places,
         vocabulary=Vocabulary.from_words(words, **manifest["vocabulary"]),
         tf_idf=TfIdf.from_idf(idf),
-        scenes=_load_scenes(entries["scenes.skops"]) if "scenes.skops" in entries else None,
+        scenes=load_scenes(entries["scenes.skops"]) if "scenes.skops" in entries else None,
         trained_on=manifest["trained_on"],
     )
 
@@ -251,7 +261,8 @@ def _number_ids(schema: Any) -> dict[str, str]:
     return files
 
 
-def _load_scenes(data: bytes) -> SceneClassifier:
+def load_scenes(data: bytes) -> SceneClassifier:
+    """Read what ``classifier_bytes`` wrote; ``ValueError`` where it is something else."""
     import skops.io
     from skops.io.exceptions import UntrustedTypesFoundException
 
