@@ -21,13 +21,13 @@ from sklearn.calibration import CalibratedClassifierCV
 from sklearn.model_selection import StratifiedGroupKFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
-from sklearn.svm import SVC
 
 from slam_bof import model as models
 from slam_bof import registry
 from slam_bof.bench.cost import Cost
 from slam_bof.bench.describing import Described, learn_bags
 from slam_bof.errors import DatasetError
+from slam_bof.machines import MACHINES, MachineName, make_machine
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams
 from slam_bof.ports import Descriptor
@@ -132,9 +132,10 @@ class DescriptorMethod:
         options: Sequence[dict[str, Any]] = (),
         n_words: int = 1024,
         seed: int = 0,
-        name: str = "",
+        machine: MachineName | None = None,
     ) -> None:
-        self.name = name or "+".join(names)
+        self.name = "+".join(names) + (f":{machine}" if machine else "")
+        self._machine: MachineName = machine or "svm-rbf"
         self.label, self.train = Cost(), Cost()
         self._n_words, self._seed = n_words, seed
         pairs = zip(names, options or [{}] * len(names), strict=True)
@@ -164,11 +165,12 @@ class DescriptorMethod:
                     self._found, self.name, n_words=n_words, seed=self._seed
                 )
                 X = self._bags[1].transform(counts)
-                self._classifier = SceneClassifier(kernel="rbf", C=COST, seed=self._seed)
-                self._classifier.fit(X, y, groups)
+                self._classifier = SceneClassifier(
+                    machine=self._machine, C=COST, seed=self._seed
+                ).fit(X, y, groups)
             else:
                 rows = np.concatenate(self._found.values).astype(np.float64)
-                machine = SVC(C=COST, kernel="rbf", random_state=self._seed)
+                machine = make_machine(self._machine, C=COST, seed=self._seed)
                 folds = list(_folds(y, np.array(groups), self._seed))
                 self._classifier = CalibratedClassifierCV(
                     make_pipeline(StandardScaler(), machine), cv=folds, ensemble=False
@@ -205,6 +207,8 @@ def make_methods(
 ) -> list[ModelMethod | DescriptorMethod]:
     """Make methods by name: ``ours``, descriptor plug-ins, and ``A+B`` for rows side by side.
 
+    ``A:mlp`` has another classifier than the Gaussian support vector machine.
+
     Raises
     ------
     PluginError
@@ -217,8 +221,17 @@ def make_methods(
         if name == OURS:
             methods.append(ModelMethod(n_words=n_words, seed=seed))
             continue
+        plugins, _, classifier = name.partition(":")
+        machine = next((known for known in MACHINES if known == classifier), None)
+        if classifier and machine is None:
+            expected = ", ".join(MACHINES)
+            raise DatasetError(
+                f"method {name!r}: found no classifier {classifier!r}, expected one of {expected}"
+            )
         try:
-            methods.append(DescriptorMethod(name.split("+"), n_words=n_words, seed=seed))
+            methods.append(
+                DescriptorMethod(plugins.split("+"), n_words=n_words, seed=seed, machine=machine)
+            )
         except ValueError as error:
             raise DatasetError(f"method {name!r}: {error}") from error
     return methods

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -51,7 +52,7 @@ def write_comparison(
         image = matrices.draw_confusion(
             scores.confusion, scores.classes, title=f"{title}: {result.method}"
         )
-        files.append(folder / f"confusion_{result.method.replace('+', '_')}.png")
+        files.append(folder / f"confusion_{re.sub('[^a-z0-9-]', '_', result.method)}.png")
         matrices.write_png(files[-1], image)
     return files
 

@@ -23,6 +23,7 @@ _ROWS = """
     registry labelled config slam mapping
     evaluation recognition metrics synthetic training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
+    scene_training
     figures scene_figures matrices page misses scene_page report runs run cli
 """
 ORDER = _ROWS.split()

@@ -14,6 +14,7 @@ from slam_bof.cli.maps import export, report
 from slam_bof.cli.querying import QueryCommand, query
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
+from slam_bof.cli.training import train
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
@@ -57,7 +58,10 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (demo, run, query, report, export, bench, plugins, config, doctor, version):
+for command in (
+    *(demo, run, query, report, export, train),
+    *(bench, plugins, config, doctor, version),
+):
     app.command(cls=QueryCommand if command is query else None)(command)
 app.add_typer(evaluate, name="evaluate")
 

@@ -61,7 +61,10 @@ def scenes(
     ] = None,
     methods: Annotated[
         str,
-        typer.Option(help="ours, descriptor plug-ins, and A+B for both side by side; commas."),
+        typer.Option(
+            help="ours, descriptor plug-ins, A+B for both side by side, A:mlp for another "
+            "classifier than an RBF SVM (see train --classifier); commas between."
+        ),
     ] = METHODS,
     every: Annotated[int, typer.Option(min=1, help="Take each so many frames.")] = 1,
     train_rooms: Annotated[
