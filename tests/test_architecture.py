@@ -39,6 +39,7 @@ OPEN_TO_PLUGINS = set(
         "trajectory",
         "ports",
         "points",
+        "bof",
         "places",
         "views",
         "alignment",
