@@ -152,19 +152,21 @@ def frames_of(sequences: Iterable[LabelledSequence], *, every: int = 1) -> list[
 def moments(frames: Sequence[LabelledFrame]) -> list[str]:
     """Name, for each frame, what shows the same as its neighbours: never to be split.
 
-    That is its sequence, where its class has at least ``N_BLOCKS`` of them; else a stretch of it.
+    That is its sequence, where its class has at least ``N_BLOCKS`` of them; else one of so many
+    stretches of its class there.
     """
     names = _names(frames)
     of_class: dict[str, set[str]] = {}
     for frame, name in zip(frames, names, strict=True):
         of_class.setdefault(frame.label, set()).add(name)
-    lengths, seen = Counter(names), Counter[str]()
+    stretches = [f"{name} {frame.label}" for frame, name in zip(frames, names, strict=True)]
+    lengths, seen = Counter(stretches), Counter[str]()
     found = []
-    for frame, name in zip(frames, names, strict=True):
-        block = N_BLOCKS * seen[name] // lengths[name]
-        seen[name] += 1
+    for frame, name, stretch in zip(frames, names, stretches, strict=True):
+        block = N_BLOCKS * seen[stretch] // lengths[stretch]
+        seen[stretch] += 1
         many = len(of_class[frame.label]) >= N_BLOCKS
-        found.append(name if many else f"{name} {block}")
+        found.append(name if many else f"{stretch} {block}")
     return found
 
 

@@ -102,7 +102,7 @@ def test_moments_are_stretches_of_a_sequence_or_whole_sequences(tmp_path: Path) 
     many = [DepthImages(images[:2]) for _ in range(5)]
     frames = [LabelledFrame(one, k, "hall") for k in range(10)]
     found = moments(frames + [LabelledFrame(d, k, "bath") for d in many for k in range(2)])
-    name = f"0 {tmp_path.name}"
+    name = f"0 {tmp_path.name} hall"
     assert found[:10] == [f"{name} {k // 2}" for k in range(10)]
     assert len(set(found[10:])) == 5
     assert found[10::2] == found[11::2]
