@@ -8,7 +8,7 @@ import json
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -151,7 +151,10 @@ def run_sequence(
                 odometry=result.odometry,
                 optimized=result.optimized,
                 groundtruth=groundtruth,
-                keyframes=closer.keyframes,
+                keyframes=[
+                    replace(keyframe, smoothed=scene)
+                    for keyframe, scene in zip(closer.keyframes, smoothed, strict=True)
+                ],
                 loops=closer.loops,
                 candidates=candidates,
                 true_scenes=true_scenes,
