@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from slam_bof.errors import DatasetError
 from slam_bof.types import DepthFrame, Intrinsics
 
-__all__ = ["DepthImages", "is_image", "read_depth_image"]
+__all__ = ["CAMERA_FILE", "DepthImages", "is_image", "read_depth_image"]
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg")
 """Files that are taken for images; those of 8 bits are told what is expected."""

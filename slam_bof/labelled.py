@@ -6,6 +6,7 @@ import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof import registry
-from slam_bof.errors import DatasetError
-from slam_bof.images import DepthImages, is_image
+from slam_bof.errors import DatasetError, PluginError
+from slam_bof.images import CAMERA_FILE, DepthImages, is_image
 from slam_bof.ports import Dataset
 from slam_bof.types import DepthFrame
 
@@ -89,6 +90,11 @@ def open_labelled(label: str | None, path: Path) -> list[LabelledSequence]:
     if path.is_dir():
         below = sorted(folder for folder in path.glob("seq-*") if folder.is_dir())
         folders = below if len(below) > 1 else folders
+    if path.is_dir() and not (path / CAMERA_FILE).exists() and _is_plain(path):
+        raise DatasetError(
+            f"{path}: found images but no {CAMERA_FILE} beside them, expected one with "
+            "width, height, fx, fy, cx, cy (px) and depth_scale (units a metre, such as 1000)"
+        )
     sequences = [LabelledSequence(registry.open_dataset(folder), label) for folder in folders]
     for sequence in sequences:
         if len(sequence.dataset) == 0:
@@ -96,6 +102,20 @@ def open_labelled(label: str | None, path: Path) -> list[LabelledSequence]:
         if label is None and sequence.dataset.scenes() is None:
             raise DatasetError(f"{path}: found no scene labels there, expected NAME=PATH")
     return sequences
+
+
+def _is_plain(folder: Path) -> bool:
+    """Tell whether a folder holds images and no layout that anybody knows."""
+    entries = list(folder.iterdir())
+    images = [entry for entry in entries if entry.is_file() and is_image(entry)]
+    if not images or any(entry.is_dir() for entry in entries):
+        return False
+    for name in registry.names("datasets"):
+        # One that lacks its library can say nothing of the folder.
+        with suppress(PluginError):
+            if registry.load("datasets", name).recognises(folder):
+                return False
+    return True
 
 
 def read_label_file(file: Path) -> list[LabelledSequence]:

@@ -52,6 +52,12 @@ def test_labels_of_its_own(tmp_path: Path) -> None:
     assert {f.label for f in frames_of(open_labelled("all", folder))} == {"all"}
 
 
+def test_images_without_a_camera_are_told_what_is_missing(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "1.png"), np.full((6, 8), 1000, np.uint16))
+    with pytest.raises(DatasetError, match=r"no intrinsics.json beside them, expected one with"):
+        open_labelled("bath", tmp_path)
+
+
 def test_a_table_of_sequences_and_images(tmp_path: Path) -> None:
     write_sequence(tmp_path / "a" / "seq-01")
     images = write_sequence(tmp_path / "loose")
