@@ -24,12 +24,11 @@ KEYFRAMES = (
     ("keyframe", "id"),
     ("frame", "frame_index"),
     ("time s", "stamp_s"),
-    ("scene", "smoothed"),
-    ("probability", "smoothed_probability"),
+    ("scene", "label"),
+    ("probability", "label_probability"),
     ("by itself", "scene"),
     ("probability", "scene_probability"),
     ("region", "region"),
-    ("frame of pose", "frame"),
     ("x m", "translation_m_0"),
     ("y m", "translation_m_1"),
     ("z m", "translation_m_2"),
@@ -164,8 +163,12 @@ def query(
             limit=limit,
         )
         if scene is not None and form == "table":
-            _show([_region(r) for r in query_regions(store, scene=scene)], REGIONS, form, "Rooms")
-    _show([asdict(record) for record in records], KEYFRAMES, form)
+            rooms = [_region(r) for r in query_regions(store, scene=scene)]
+            _show(rooms, REGIONS, form, "Rooms, by where the camera was in them")
+    rows = [asdict(record) for record in records]
+    if form == "table":
+        rows = [{**row, **_label(row)} for row in rows]
+    _show(rows, KEYFRAMES, form)
 
 
 def map_file(path: Path) -> Path:
@@ -250,6 +253,12 @@ def _flatten(row: dict[str, Any]) -> dict[str, Any]:
         else:
             flat[key] = value
     return flat
+
+
+def _label(row: dict[str, Any]) -> dict[str, Any]:
+    """Return the smoothed label of a keyframe; of one without, its own."""
+    name = "scene" if row["smoothed"] is None else "smoothed"
+    return {"label": row[name], "label_probability": row[f"{name}_probability"]}
 
 
 def _region(region: Any) -> dict[str, Any]:
