@@ -17,7 +17,8 @@ _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     gravity views viewstack spectra panorama slices alignment recogniser tracking
-    scenes labelling keyframes loops covisibility parts consistency joining verification model
+    scenes levelled profile shapes network levels labelling
+    keyframes loops covisibility parts consistency joining verification model
     schema rows store queries
     registry config slam mapping
     evaluation recognition metrics synthetic training bench retrieval
