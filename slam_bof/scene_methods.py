@@ -69,6 +69,7 @@ class ModelMethod:
     params: PlaceParams = field(default_factory=PlaceParams)
     n_words: int = 1024
     seed: int = 0
+    levelled: bool = True
     model: Model | None = None
     name: str = OURS
     needs_gray: bool = False
@@ -96,6 +97,7 @@ class ModelMethod:
                     n_words=self.n_words,
                     seed=self.seed,
                     trained_on="a comparison",
+                    levelled=self.levelled,
                 )
         except ValueError as error:
             raise DatasetError(f"cannot be trained: {error}") from error

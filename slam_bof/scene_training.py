@@ -42,6 +42,7 @@ def train_scenes(
     *,
     trained_on: str,
     n_words: int = 1024,
+    levelled: bool = True,
     classifier: MachineName | None = None,
     grid_search: bool = False,
     check: bool = True,
@@ -60,8 +61,10 @@ def train_scenes(
         What the frames are, in words, for the model file.
     n_words
         Of the vocabulary.
+    levelled
+        Label levelled views, the product's way; without, bags of words, the paper's.
     classifier
-        One of ``machines.MACHINES`` on bags of words; by default the product's own.
+        One of ``machines.MACHINES`` on bags of words; by default a linear support vector machine.
     grid_search
         Choose a support vector machine on bags, linear or Gaussian, and its parameters, by
         cross-validation.
@@ -96,6 +99,7 @@ def train_scenes(
                 seed=seed,
                 trained_on=trained_on,
                 scenes=scenes,
+                levelled=levelled,
             )
         except ValueError as error:
             raise DatasetError(f"cannot train on {len(part)} frames: {error}") from error

@@ -17,7 +17,8 @@ _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     gravity views viewstack spectra panorama slices alignment recogniser tracking
-    machines scenes labelling scene_filter regions scene_map images
+    machines scenes levelled profile shapes network levels labelling
+    scene_filter regions scene_map images
     keyframes loops covisibility parts consistency joining verification model single
     schema rows store queries
     registry labelled config slam mapping

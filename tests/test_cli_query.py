@@ -97,7 +97,7 @@ def two_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
         depth = box_room_depth_mm(CAMERA, T, half_size_m)
         frames.append(TrainingFrame(DepthFrame(float(i), depth, CAMERA), label, str(i)))
     folder = tmp_path_factory.mktemp("two")
-    trained = train_model(frames, PlaceParams(), n_words=8, trained_on="boxes")
+    trained = train_model(frames, PlaceParams(), n_words=8, trained_on="boxes", levelled=False)
     model.save(trained, folder / "two.bof")
     cv2.imwrite(str(folder / "wide.png"), box_room_depth_mm(CAMERA, np.eye(4), (2.0, 1.5, 3.0)))
     return folder

@@ -12,7 +12,7 @@ from conftest import CAMERA, box_room_depth_mm
 from slam_bof import se3
 from slam_bof.errors import DatasetError
 from slam_bof.labelled import LabelledFrame, frames_of, open_labelled
-from slam_bof.scene_methods import DescriptorMethod, make_methods
+from slam_bof.scene_methods import DescriptorMethod, ModelMethod, make_methods
 from slam_bof.scene_page import write_comparison
 from slam_bof.scene_protocols import compare, split_officially, split_rooms, split_sunrgbd
 from slam_bof.scene_splits import Split, split_at_random
@@ -51,7 +51,8 @@ def test_official_split(scenes: Path) -> None:
 
 def test_methods_learn_the_same_and_are_judged_on_the_same(scenes: Path, tmp_path: Path) -> None:
     split = split_officially([(label, scenes / label) for label in SIZES_M])
-    methods = make_methods(["thumbnail", "ours", "bof", "sift", "gist-depth+thumbnail"], n_words=8)
+    methods = make_methods(["thumbnail", "bof", "sift", "gist-depth+thumbnail"], n_words=8)
+    methods.insert(1, ModelMethod(n_words=8, levelled=False))
     seen: list[tuple[str, int, int]] = []
     results, left_out = compare(split, methods, on_progress=lambda *said: seen.append(said))
     assert list(left_out) == ["sift"]

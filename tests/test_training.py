@@ -49,7 +49,7 @@ def test_a_model_tells_unseen_frames_apart():
 
 
 def test_a_bag_at_hand_spares_the_labeller_describing_the_frame():
-    model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes")
+    model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes", levelled=False)
     box, cross = (item.frame for item in frames(first=100, n=2))
     labeller = model.labeller()
     asked = labeller.label(box)

@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["train"]
 
-Classifier = Literal[
-    "default", "svm-linear", "svm-rbf", "random-forest", "naive-bayes", "knn", "mlp"
-]
+Classifier = Literal["svm-linear", "svm-rbf", "random-forest", "naive-bayes", "knn", "mlp"]
 
 
 def train(
@@ -38,16 +36,20 @@ def train(
         ),
     ] = None,
     descriptor: Annotated[
-        str, typer.Option(help="What frames are described by; models hold bof.")
-    ] = "bof",
+        Literal["levelled", "bof"] | None,
+        typer.Option(
+            help="What labels go by: levelled views, the default, or bof: bags of words, the "
+            "paper's way, and the default with --classifier or --grid-search."
+        ),
+    ] = None,
     layers: Annotated[
         int | None, typer.Option(min=1, help="Into which a frame's cloud is cut; by default 20.")
     ] = None,
     n_words: Annotated[int, typer.Option("--words", min=2, help="Of the vocabulary.")] = 1024,
     classifier: Annotated[
-        Classifier,
-        typer.Option(help="default: the product's own; the others see bags of words alone."),
-    ] = "default",
+        Classifier | None,
+        typer.Option(help="Of bags of words; by default svm-linear."),
+    ] = None,
     grid_search: Annotated[
         bool,
         typer.Option(
@@ -72,12 +74,11 @@ def train(
 
     The figures printed are of frames held out, by a model trained like it on the others.
     """
-    if descriptor != "bof":
-        raise ConfigError(
-            f"--descriptor: found {descriptor!r}, expected bof, which is what a model can hold; "
-            "evaluate scenes compares others"
-        )
-    if grid_search and classifier != "default":
+    of_bags = grid_search or classifier is not None
+    if descriptor == "levelled" and of_bags:
+        given = "--grid-search" if grid_search else "--classifier"
+        raise ConfigError(f"--descriptor levelled: found with {given}, expected bof")
+    if grid_search and classifier is not None:
         raise ConfigError(
             f"--grid-search: found with --classifier {classifier}, expected one of the two"
         )
@@ -104,7 +105,8 @@ def train(
             params,
             trained_on=", ".join(names),
             n_words=n_words,
-            classifier=None if classifier == "default" else classifier,
+            levelled=descriptor != "bof" and not of_bags,
+            classifier=classifier,
             grid_search=grid_search,
             check=check,
             seed=seed,
