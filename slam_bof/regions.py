@@ -30,7 +30,7 @@ class RegionParams(Params):
     """What makes keyframes a region."""
 
     radius_m: float = Field(1.0, gt=0, description="keyframes this close together are linked")
-    vote_m: float = Field(0.5, gt=0, description="Gaussian width of the neighbours' vote")
+    vote_m: float = Field(0.8, gt=0, description="Gaussian width of the neighbours' vote")
     min_keyframes: int = Field(3, ge=1, description="a smaller region goes to the one nearest")
     min_probability: float = Field(0.4, ge=0, le=1, description="below it a region is unknown")
 

@@ -27,10 +27,10 @@ FLOOR = 1e-6
 class SceneFilterParams(Params):
     """How long the camera stays in a room, and how much a single keyframe counts."""
 
-    stay_s: float = Field(20.0, gt=0, description="mean time in a room")
-    stay_m: float = Field(3.0, gt=0, description="mean way within a room")
+    stay_s: float = Field(60.0, gt=0, description="mean time in a room")
+    stay_m: float = Field(4.0, gt=0, description="mean way within a room")
     evidence: float = Field(
-        0.6, gt=0, le=1, description="power of a keyframe's probabilities; 1: all independent"
+        0.2, gt=0, le=1, description="power of a keyframe's probabilities; 1: all independent"
     )
     min_probability: float = Field(
         0.4, ge=0, le=1, description="below it the smoothed label is unknown"
