@@ -15,6 +15,8 @@ from slam_bof.errors import ConfigError
 from slam_bof.keyframes import KeyframeParams
 from slam_bof.loops import LoopParams
 from slam_bof.points import PointParams
+from slam_bof.regions import RegionParams
+from slam_bof.scene_filter import SceneFilterParams
 from slam_bof.tracking import TrackingParams
 from slam_bof.types import Params
 from slam_bof.validation import describe_error, suggest
@@ -66,6 +68,8 @@ class Config(Params):
     backend: PluginChoice = PluginChoice(name="gtsam")
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
+    labels: SceneFilterParams = SceneFilterParams()
+    regions: RegionParams = RegionParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()

@@ -13,6 +13,8 @@ from slam_bof.types import Array, Candidate, Scene
 
 __all__ = [
     "COLORS",
+    "PALETTE",
+    "clean",
     "draw_candidates",
     "draw_errors",
     "draw_labels",
@@ -139,7 +141,7 @@ def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
     ``times_s[i]`` is the time of ``candidates[i].query_id``.
     """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.08)
-    _clean(figure)
+    clean(figure)
     decisions = {
         "rejected": {"color": COLORS["muted"], "size": 5},
         "accepted": {"color": COLORS["good"], "size": 7},
@@ -255,17 +257,18 @@ def draw_precision_recall(curves: Mapping[str, Mapping[str, Array]]) -> Figure:
             )
     figure.update_xaxes(title="recall", range=[0, 1])
     figure.update_yaxes(title="precision", range=[0, 1.03])
-    return _clean(figure)
+    return clean(figure)
 
 
 def _figure(x_title: str, y_title: str) -> Figure:
-    figure = _clean(go.Figure())
+    figure = clean(go.Figure())
     return figure.update_layout(
         xaxis_title={"text": x_title}, yaxis_title={"text": y_title}, height=HEIGHT_PX
     )
 
 
-def _clean(figure: Figure) -> Figure:
+def clean(figure: Figure) -> Figure:
+    """Give a figure the look of all others."""
     axis: dict[str, Any] = {"gridcolor": COLORS["grid"], "zeroline": False}
     axis |= {"linecolor": COLORS["muted"]}
     axis["title"] = {"font": {"size": 13}}

@@ -1,8 +1,8 @@
-"""Loops as a matrix of frames, as the paper's Figure 10 has them, drawn by OpenCV."""
+"""Matrices as pictures, drawn by OpenCV: loops (the paper's Figure 10), confusion of scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import cv2
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.figures import COLORS
 
-__all__ = ["draw_loop_matrix", "write_png"]
+__all__ = ["draw_confusion", "draw_loop_matrix", "write_png"]
 
 SIDE_PX = 720
 MARGIN_PX = 56
@@ -76,6 +76,55 @@ def draw_loop_matrix(
     return image
 
 
+def draw_confusion(counts: NDArray[np.integer], classes: Sequence[str], *, title: str) -> Image:
+    """Draw how often a true class (row) is taken for another (column), in shares of its row.
+
+    Parameters
+    ----------
+    counts
+        (C, C) frames.
+    classes
+        (C,) their names.
+    title
+        Stands above.
+
+    Returns
+    -------
+    Image
+        (H, W, 3) uint8, blue first, as OpenCV has it.
+
+    Raises
+    ------
+    ValueError
+        If the counts are not (C, C).
+    """
+    n = len(classes)
+    if counts.shape != (n, n):
+        raise ValueError(f"counts must be ({n}, {n}) as the classes, got {counts.shape}")
+    cell = max(34, min(96, SIDE_PX // max(n, 1)))
+    names_px = 12 + 8 * max(map(len, classes), default=0)
+    left, top = names_px, MARGIN_PX + 24
+    image = np.full((top + cell * n + names_px, left + cell * n + MARGIN_PX, 3), 255, np.uint8)
+    totals = counts.sum(axis=1, keepdims=True)
+    shares = counts / np.maximum(totals, 1)
+    deep = np.array(_bgr(COLORS["optimized"]), dtype=np.float64)
+    _write(image, title, (8, 24), 0.55)
+    _write(image, "true (rows), predicted (columns): frames", (8, 46), 0.42)
+    for row in range(n):
+        for column in range(n):
+            x, y = left + cell * column, top + cell * row
+            color = (255.0 + (deep - 255.0) * shares[row, column]).tolist()
+            cv2.rectangle(image, (x, y), (x + cell - 2, y + cell - 2), color, -1)
+            if counts[row, column]:
+                dark = shares[row, column] > 0.5
+                at = (x + 4, y + cell // 2 + 4)
+                _write(image, str(counts[row, column]), at, 0.42, "#ffffff" if dark else None)
+        _write(image, classes[row], (8, top + cell * row + cell // 2 + 4), 0.42)
+    for column, name in enumerate(classes):
+        _write_down(image, name, (left + cell * column + cell // 2 - 8, top + cell * n + 6))
+    return image
+
+
 def write_png(path: Path, image: Image) -> None:
     """Write a picture; OSError where it cannot be written."""
     _, coded = cv2.imencode(".png", image)
@@ -102,6 +151,17 @@ def _bgr(color: str) -> tuple[int, int, int]:
     return blue, green, red
 
 
-def _write(image: Image, text: str, at: tuple[int, int], size: float) -> None:
-    color = _bgr(COLORS["text"])
+def _write_down(image: Image, text: str, at: tuple[int, int]) -> None:
+    """Write from top to bottom."""
+    x, y = at
+    strip = np.full((16, 10 + 8 * len(text), 3), 255, np.uint8)
+    _write(strip, text, (2, 12), 0.42)
+    turned = cv2.rotate(strip, cv2.ROTATE_90_CLOCKWISE)[: image.shape[0] - y]
+    image[y : y + len(turned), x : x + 16] = turned
+
+
+def _write(
+    image: Image, text: str, at: tuple[int, int], size: float, hex_color: str | None = None
+) -> None:
+    color = _bgr(hex_color or COLORS["text"])
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, color, 1, cv2.LINE_AA)

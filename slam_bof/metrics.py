@@ -15,7 +15,7 @@ from slam_bof import evaluation
 from slam_bof.minislam import SlamResult
 from slam_bof.slam import LoopCloser
 from slam_bof.timing import StageClock
-from slam_bof.types import Candidate, Trajectory
+from slam_bof.types import Candidate, Scene, Trajectory
 
 __all__ = ["Metrics", "Usage", "compute_metrics"]
 
@@ -50,6 +50,8 @@ def compute_metrics(
     candidates: Sequence[Candidate],
     groundtruth: Trajectory | None,
     true_scenes: Sequence[str] | None,
+    smoothed: Sequence[Scene | None],
+    n_regions: int,
     usage: Usage,
     clock: StageClock,
     seed: int,
@@ -57,7 +59,8 @@ def compute_metrics(
     """Collect everything that can be known of a run.
 
     ``candidates`` is the audit trail; ``groundtruth`` has a pose for each frame of the
-    sequence, ``true_scenes`` a label for each keyframe.
+    sequence, ``true_scenes`` a label for each keyframe, ``smoothed`` what the whole trajectory
+    says of each.
     """
     n_frames = len(result.optimized)
     loops = [loop for loop in closer.loops if loop.kind == "loop"]
@@ -90,6 +93,8 @@ def compute_metrics(
         "loop_recall": None,
         "covisibility_precision": None,
         "scene_accuracy": None,
+        "scene_accuracy_smoothed": None,
+        "n_regions": n_regions,
         "fps": n_frames / usage.wall_s,
         "cpu_s": usage.cpu_s,
         "wall_s": usage.wall_s,
@@ -105,6 +110,9 @@ def compute_metrics(
         metrics["scene_accuracy"] = evaluation.scene_accuracy(
             [k.scene.label if k.scene else None for k in closer.keyframes],
             true_scenes,
+        )
+        metrics["scene_accuracy_smoothed"] = evaluation.scene_accuracy(
+            [scene.label if scene else None for scene in smoothed], true_scenes
         )
     return metrics
 

@@ -1,9 +1,9 @@
 """The trained model in one file: parameters, words, idf and scene classifier.
 
 The file is a zip: ``manifest.json`` (format version, parameters, what it was trained on, and
-the SHA-256 of all the content), ``words.npy``, ``idf.npy``, and ``scenes.skops`` where there is
-a classifier. Nothing is pickled, and only the types named here are made on loading. The same
-training writes the same bytes.
+the SHA-256 of all the content), ``words.npy``, ``idf.npy``, ``scenes.skops`` where bags are
+labelled, and ``levels/*.npy`` where levelled views are. Nothing is pickled, and only the types
+named here are made on loading. The same training writes the same bytes.
 """
 
 from __future__ import annotations
@@ -27,11 +27,21 @@ from pydantic import ValidationError
 from sklearn.exceptions import InconsistentVersionWarning
 
 from slam_bof.errors import ModelError
+from slam_bof.labelling import BagLabeller, Labeller
+from slam_bof.levels import LevelScenes
 from slam_bof.places import PlaceDescriber, PlaceParams
 from slam_bof.scenes import SceneClassifier
 from slam_bof.vocabulary import TfIdf, Vocabulary
 
-__all__ = ["FORMAT_VERSION", "Model", "classifier_bytes", "load", "load_default", "save"]
+__all__ = [
+    "FORMAT_VERSION",
+    "Model",
+    "classifier_bytes",
+    "load",
+    "load_default",
+    "load_scenes",
+    "save",
+]
 
 FORMAT = "slam_bof model"
 FORMAT_VERSION = 1
@@ -42,8 +52,12 @@ TRUSTED_TYPES = [
     "slam_bof.scenes.SceneClassifier",
     "sklearn.calibration._CalibratedClassifier",
     "sklearn.calibration._SigmoidCalibration",
+    "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
+    "sklearn.tree._tree.Tree",
 ]
 """What a classifier may be made of, beyond what skops itself trusts."""
+
+LEVELS = "levels/"
 
 Entries = dict[str, bytes]
 
@@ -52,8 +66,9 @@ Entries = dict[str, bytes]
 class Model:
     """All that describing and labelling a frame needs.
 
-    ``trained_on`` says in words which frames it has seen; ``scenes`` is None where they had
-    no labels.
+    ``trained_on`` says in words which frames it has seen. ``scenes`` labels bags, as the paper
+    does, and ``levels`` levelled views; both are None where the frames had no labels, and either
+    where it was not asked for.
     """
 
     places: PlaceParams
@@ -61,10 +76,20 @@ class Model:
     tf_idf: TfIdf
     scenes: SceneClassifier | None
     trained_on: str
+    levels: LevelScenes | None = None
 
     def describer(self) -> PlaceDescriber:
         """Return what makes bags of frames."""
         return PlaceDescriber(self.places, self.vocabulary, self.tf_idf)
+
+    def labeller(self) -> Labeller | None:
+        """Return what labels frames: by levelled views if it can, or else by bags.
+
+        None where the model was trained without labels.
+        """
+        if self.levels is not None:
+            return self.levels
+        return BagLabeller(self.describer(), self.scenes) if self.scenes is not None else None
 
     @cached_property
     def content_hash(self) -> str:
@@ -158,8 +183,9 @@ def _build(manifest: dict[str, Any], entries: Entries) -> Model:
         places=places,
         vocabulary=Vocabulary.from_words(words, **manifest["vocabulary"]),
         tf_idf=TfIdf.from_idf(idf),
-        scenes=_load_scenes(entries["scenes.skops"]) if "scenes.skops" in entries else None,
+        scenes=load_scenes(entries["scenes.skops"]) if "scenes.skops" in entries else None,
         trained_on=manifest["trained_on"],
+        levels=_load_levels(manifest["levels"], entries) if manifest.get("levels") else None,
     )
 
 
@@ -167,7 +193,7 @@ def _description(model: Model) -> dict[str, Any]:
     """Return the manifest without what does not belong to the content."""
     vocabulary = model.vocabulary.get_params()
     del vocabulary["n_words"]  # known from the words
-    return {
+    description = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "trained_on": model.trained_on,
@@ -175,6 +201,8 @@ def _description(model: Model) -> dict[str, Any]:
         "vocabulary": vocabulary,
         "classes": [str(label) for label in model.scenes.classes_] if model.scenes else [],
     }
+    # Files of models without it are as they were.
+    return description | ({"levels": model.levels.description()} if model.levels else {})
 
 
 def _entries(model: Model) -> Entries:
@@ -184,7 +212,19 @@ def _entries(model: Model) -> Entries:
     }
     if model.scenes is not None:
         entries["scenes.skops"] = classifier_bytes(model.scenes)
+    if model.levels is not None:
+        for name, array in model.levels.arrays().items():
+            entries[f"{LEVELS}{name}.npy"] = _array_bytes(array)
     return entries
+
+
+def _load_levels(description: dict[str, Any], entries: Entries) -> LevelScenes:
+    arrays = {
+        name.removeprefix(LEVELS).removesuffix(".npy"): _array(data)
+        for name, data in entries.items()
+        if name.startswith(LEVELS)
+    }
+    return LevelScenes.from_arrays(description, arrays)
 
 
 def _hash(description: dict[str, Any], entries: Entries) -> str:
@@ -246,7 +286,8 @@ def _number_ids(schema: Any) -> dict[str, str]:
     return files
 
 
-def _load_scenes(data: bytes) -> SceneClassifier:
+def load_scenes(data: bytes) -> SceneClassifier:
+    """Read what ``classifier_bytes`` wrote; ``ValueError`` where it is something else."""
     import skops.io
     from skops.io.exceptions import UntrustedTypesFoundException
 

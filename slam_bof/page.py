@@ -36,7 +36,9 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "n_covisibility_edges": ("covisibility edges", "{}"),
         "loop_precision": ("loops within 0.10 m and 5° of ground truth", "{:.1%}"),
         "loop_recall": ("revisiting keyframes that got a loop", "{:.1%}"),
-        "scene_accuracy": ("keyframes with the right scene label", "{:.1%}"),
+        "scene_accuracy": ("keyframes with the right scene label, each by itself", "{:.1%}"),
+        "scene_accuracy_smoothed": ("the same by the keyframes around as well", "{:.1%}"),
+        "n_regions": ("rooms found", "{}"),
     },
     "Input and cost": {
         "n_frames": ("frames", "{}"),

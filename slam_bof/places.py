@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,10 +11,10 @@ from slam_bof.contours import ContourParams, find_contours
 from slam_bof.layers import LayerParams, layer_images
 from slam_bof.points import PointParams, points_camera_f32
 from slam_bof.scratch import scratch_image
-from slam_bof.types import Array, Bag, DepthFrame, Params
+from slam_bof.types import Array, Bag, Contours, DepthFrame, Params
 from slam_bof.vocabulary import TfIdf, Vocabulary
 
-__all__ = ["PlaceDescriber", "PlaceParams", "descriptors"]
+__all__ = ["PlaceDescriber", "PlaceParams", "descriptors", "layer_rows"]
 
 
 class PlaceParams(Params):
@@ -33,6 +34,27 @@ def descriptors(
     ``gravity_camera`` (3,) is the direction down in the camera frame, which layers along gravity
     need; others ignore it.
     """
+    return describe(_contours(frame, params, gravity_camera), params.bof)
+
+
+def layer_rows(
+    frame: DepthFrame, params: PlaceParams, *, gravity_camera: Array | None = None
+) -> NDArray[np.float32]:
+    """Return the BOF of each layer's largest contour, side by side, (1, n_images * n_values).
+
+    Zero where a layer has none. This is what the paper would give a neural network (section 5);
+    for such rows to be comparable, ``bof.sampling`` should be ``angle``.
+    """
+    contours = _contours(frame, params, gravity_camera)
+    found = describe(contours, params.bof)
+    rows = np.zeros((params.layers.n_images, params.bof.n_values), np.float32)
+    areas = np.array([cv2.contourArea(points) for points in contours.points_px])
+    for i in np.argsort(areas, kind="stable").tolist():
+        rows[contours.layer[i]] = found[i]
+    return rows.reshape(1, -1)
+
+
+def _contours(frame: DepthFrame, params: PlaceParams, gravity_camera: Array | None) -> Contours:
     points = points_camera_f32(frame, params.points)
     margin_px = params.contours.margin_px
     side = params.layers.resolution_px + 2 * margin_px
@@ -43,8 +65,7 @@ def descriptors(
         margin_px=margin_px,
         out=scratch_image("layers", (params.layers.n_images, side, side)),
     )
-    contours = find_contours(images, params.contours, margin_px=margin_px)
-    return describe(contours, params.bof)
+    return find_contours(images, params.contours, margin_px=margin_px)
 
 
 class PlaceDescriber:

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from slam_bof.errors import MapError
+from slam_bof.regions import Region
 from slam_bof.rows import scene_of
+from slam_bof.scene_filter import UNKNOWN
 from slam_bof.schema import POSE
 from slam_bof.store import MapStore
 
-__all__ = ["KeyframeRecord", "LoopRecord", "query_keyframes", "query_loops"]
+__all__ = [
+    "KeyframeRecord",
+    "LoopRecord",
+    "query_keyframes",
+    "query_loops",
+    "query_regions",
+]
 
+Labels = Literal["smoothed", "raw"]
 Position = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
@@ -24,7 +33,9 @@ class KeyframeRecord:
     """What a map says of a keyframe.
 
     ``translation_m`` and ``quaternion_xyzw`` are the camera's in ``frame``: "map", or "odom"
-    while the map has no pose for it yet. ``probabilities`` is by label, most likely first.
+    while the map has no pose for it yet. ``scene`` is what the keyframe alone shows, with the
+    ``probabilities`` by label, most likely first; ``smoothed`` is the label by the keyframes
+    around as well, "unknown" where none is likely enough; ``region`` the room it stands in.
     ``apart_s`` and ``distance_m`` are from the time and position asked for.
     """
 
@@ -33,6 +44,9 @@ class KeyframeRecord:
     stamp_s: float
     scene: str | None
     scene_probability: float | None
+    smoothed: str | None
+    smoothed_probability: float | None
+    region: int | None
     frame: str
     translation_m: Position
     quaternion_xyzw: Quaternion
@@ -63,6 +77,7 @@ def query_keyframes(
     near_m: Sequence[float] | None = None,
     scene: str | None = None,
     min_probability: float = 0.0,
+    labels: Labels = "smoothed",
     limit: int | None = None,
 ) -> list[KeyframeRecord]:
     """Find keyframes; conditions combine.
@@ -78,7 +93,9 @@ def query_keyframes(
     near_m
         The nearest to this position (x, y, z) in the map frame first.
     scene, min_probability
-        Only those with this label and at least this probability of it.
+        Only those with this label, and with a label of at least this probability.
+    labels
+        Which label that is: ``smoothed`` (of a keyframe without, its own) or ``raw``.
     limit
         At most so many.
 
@@ -87,18 +104,20 @@ def query_keyframes(
     MapError
         If the map has no such keyframe, or does not know the scene.
     """
-    if scene is not None and scene not in store.classes():
-        known = ", ".join(store.classes()) or "none, it has no labels"
-        raise MapError(f"{store.path}: found no scene {scene!r}, expected one of: {known}")
+    _check_scene(store, scene)
+    label, probability = "scene", "scene_probability"
+    if labels == "smoothed":
+        label = "coalesce(smoothed, scene)"
+        probability = "coalesce(smoothed_probability, scene_probability)"
     rows = store.select(
         "SELECT *, (SELECT count(*) FROM loops WHERE query_id = k.id AND kind = 'loop') AS n_loops"
         " FROM keyframes AS k WHERE (?1 IS NULL OR id = ?1)"
-        " AND (?2 IS NULL OR (scene = ?2 AND scene_probability >= ?3)) ORDER BY id",
+        f" AND (?2 IS NULL OR {label} = ?2) AND (?3 <= 0 OR {probability} >= ?3) ORDER BY id",
         keyframe_id,
         scene,
         min_probability,
     )
-    if keyframe_id is not None and scene is None and not rows:
+    if keyframe_id is not None and scene is None and min_probability <= 0 and not rows:
         ((n,),) = store.select("SELECT count(*) FROM keyframes")
         raise MapError(
             f"{store.path}: found no keyframe {keyframe_id}, expected one of its {n}, from 0 on"
@@ -109,6 +128,25 @@ def query_keyframes(
     if near_m is not None:
         records.sort(key=lambda record: record.distance_m or 0.0)
     return records[:limit]
+
+
+def query_regions(
+    store: MapStore, *, scene: str | None = None, min_probability: float = 0.0
+) -> list[Region]:
+    """Return the rooms of the map, the most probable of the scene asked for first.
+
+    Raises
+    ------
+    MapError
+        If the map does not know the scene.
+    """
+    _check_scene(store, scene)
+    found = [
+        region
+        for region in store.regions()
+        if scene in (None, region.label) and region.probability >= min_probability
+    ]
+    return sorted(found, key=lambda region: -region.probability) if scene else found
 
 
 def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[LoopRecord]:
@@ -130,6 +168,14 @@ def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[Loop
     return records
 
 
+def _check_scene(store: MapStore, scene: str | None) -> None:
+    classes = store.classes()
+    if scene is None or scene in classes or (scene == UNKNOWN and classes):
+        return
+    known = ", ".join((*classes, UNKNOWN)) if classes else "none, it has no labels"
+    raise MapError(f"{store.path}: found no scene {scene!r}, expected one of: {known}")
+
+
 def _record(
     store: MapStore, row: Any, time_s: float | None, near_m: Sequence[float] | None
 ) -> KeyframeRecord:
@@ -145,6 +191,9 @@ def _record(
         stamp_s=row["stamp_s"],
         scene=row["scene"],
         scene_probability=row["scene_probability"],
+        smoothed=row["smoothed"],
+        smoothed_probability=row["smoothed_probability"],
+        region=row["region"],
         frame=frame,
         translation_m=translation_m,
         quaternion_xyzw=quaternion_xyzw,

@@ -173,15 +173,21 @@ def _label_section(data: ReportData) -> str:
     from slam_bof import figures
 
     stamps_s = np.array([keyframe.stamp_s for keyframe in data.keyframes])
-    scenes = [keyframe.scene for keyframe in data.keyframes]
     known = data.true_scenes is not None and any(s is not None for s in data.true_scenes)
-    figure = figures.draw_labels(_since_start(data, stamps_s), scenes, data.true_scenes)
+    drawn = {
+        "labels": [keyframe.scene for keyframe in data.keyframes],
+        "smoothed": [keyframe.smoothed for keyframe in data.keyframes],
+    }
     return page.section(
         "Scene labels",
-        "The label that each keyframe got from its bag of words; a larger point is a more "
-        "probable label. "
+        "The label of each keyframe by itself and, beside it, by those before and after as well; "
+        "a larger point is a more probable label. "
         + ("Grey squares are the true labels." if known else "The true labels are not known."),
-        _html(figure, "labels"),
+        *(
+            _html(figures.draw_labels(_since_start(data, stamps_s), scenes, data.true_scenes), name)
+            for name, scenes in drawn.items()
+            if any(scene is not None for scene in scenes)
+        ),
     )
 
 

@@ -12,21 +12,19 @@ from numpy.typing import NDArray
 from slam_bof import model as models
 from slam_bof import registry
 from slam_bof.bench.cost import Cost, one_thread
-from slam_bof.bench.describing import Described
+from slam_bof.bench.describing import Described, learn_bags
 from slam_bof.errors import DatasetError
 from slam_bof.index import InvertedIndex
 from slam_bof.ports import Dataset, Descriptor, Odometry
 from slam_bof.recogniser import PlaceRecogniser, RecogniserParams
 from slam_bof.recognition import ProtocolParams, eligible, judge, truths
 from slam_bof.types import Bag, Pose
-from slam_bof.vocabulary import TfIdf, Vocabulary, count_words
+from slam_bof.vocabulary import TfIdf, Vocabulary
 
 __all__ = ["RECOGNISER", "Scored", "evaluate_places", "score_rows"]
 
 RECOGNISER = "recogniser"
 """What ``slam_bof.recogniser`` goes by among the descriptors."""
-MAX_SAMPLES = 150_000
-"""Local features that a vocabulary is learnt of at most."""
 
 Progress = Callable[[str, int, int], None]
 Truths = dict[str, NDArray[np.bool_]]
@@ -264,14 +262,12 @@ def _learn(
         for index in range(len(dataset)):
             gray = dataset.gray(index) if descriptor.needs_gray else None
             found.keep(descriptor.describe(dataset.frame(index), gray))
-    if len(found) < n_words:
+    try:
+        bags, _ = learn_bags(found, name, n_words=n_words, seed=seed)
+    except DatasetError as error:
         sequences = ", ".join(dataset.sequence for dataset in training)
-        raise DatasetError(
-            f"{sequences}: found {len(found)} descriptors of {name}, expected at least {n_words}"
-        )
-    vocabulary = Vocabulary(n_words=n_words, seed=seed).fit(found.samples(MAX_SAMPLES, seed))
-    words = [vocabulary.lookup(found.numbers(values)) for values in found.values]
-    return vocabulary, TfIdf().fit(count_words(words, n_words))
+        raise DatasetError(f"{sequences}: {error}") from None
+    return bags
 
 
 def _bag(values: NDArray[np.float32], vocabulary: Vocabulary, tf_idf: TfIdf) -> Bag:

@@ -8,7 +8,7 @@ import json
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from datetime import datetime
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from slam_bof.metrics import Metrics, Usage, compute_metrics
 from slam_bof.minislam import MiniSlam
 from slam_bof.ports import Dataset, NullObserver, Observer
 from slam_bof.report import ReportData, write_report
+from slam_bof.scene_map import label_map
 from slam_bof.slam import LoopCloser
 from slam_bof.store import MapStore
 from slam_bof.timing import StageClock
@@ -120,6 +121,10 @@ def run_sequence(
             T_map_camera = closer.backend.poses()
             store.set_map_poses(T_map_camera)
             store.leave_out(closer.loops_left_out, LEFT_OUT)
+            smoothed, regions = label_map(
+                closer.keyframes, T_map_camera, config.labels, config.regions, parts=closer.parts
+            )
+            store.set_scenes(smoothed, regions)
             candidates = store.candidates()
         groundtruth = dataset.groundtruth()
         keyframe_frames = [int(result.indices[k.frame_index]) for k in closer.keyframes]
@@ -133,6 +138,8 @@ def run_sequence(
             candidates=candidates,
             groundtruth=groundtruth,
             true_scenes=true_scenes,
+            smoothed=smoothed,
+            n_regions=len(regions),
             usage=used,
             clock=clock,
             seed=config.seed,
@@ -150,7 +157,10 @@ def run_sequence(
                 odometry=result.odometry,
                 optimized=result.optimized,
                 groundtruth=groundtruth,
-                keyframes=closer.keyframes,
+                keyframes=[
+                    replace(keyframe, smoothed=scene)
+                    for keyframe, scene in zip(closer.keyframes, smoothed, strict=True)
+                ],
                 loops=closer.loops,
                 candidates=candidates,
                 true_scenes=true_scenes,

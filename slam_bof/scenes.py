@@ -12,11 +12,11 @@ from scipy.special import expit
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.calibration import CalibratedClassifierCV
 from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
-from sklearn.svm import SVC, LinearSVC
 from sklearn.utils import Tags
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
+from slam_bof.machines import MachineName, make_machine
 from slam_bof.types import Array, Bag, Scene
 
 __all__ = ["SceneClassifier"]
@@ -32,9 +32,13 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
     Parameters
     ----------
     kernel
-        ``linear``, or ``rbf`` as the paper has it.
+        ``linear``, or ``rbf`` as the paper has it; of the support vector machine.
     C
         Cost of a training error.
+    gamma
+        Width of the ``rbf`` kernel, or "scale" for scikit-learn's choice.
+    machine
+        None for the support vector machine, or another of ``machines.MACHINES``.
     n_folds
         For calibration; fewer where the smallest class has fewer samples (or groups).
     seed
@@ -52,6 +56,8 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
     C: float = 1.0
     n_folds: int = 5
     seed: int = 0
+    gamma: float | Literal["scale"] = "scale"
+    machine: MachineName | None = None
 
     def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> Self:
         """Learn from bags (n_frames, n_words), dense or csr, and their labels.
@@ -74,7 +80,7 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
                 f"{len(self.classes_)} class{'es' * (len(self.classes_) > 1)} ({found})"
             )
         self.classifier_ = CalibratedClassifierCV(
-            self._machine(), cv=self._folds(y, groups), ensemble=False
+            self._machine(), cv=self.folds(y, groups), ensemble=False
         )
         self.classifier_.fit(_hellinger(X), y)
         # The folds have served: they would only swell the model file.
@@ -95,7 +101,7 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
     def predict_bag(self, bag: Bag) -> Scene:
         """Return the scene of one bag; of an empty one, what the machine says of nothing."""
         check_is_fitted(self, "classifier_")
-        if self.kernel == "linear":
+        if self._name() == "svm-linear":
             probabilities = self._linear_probabilities(bag)
         else:
             row = np.zeros((1, self.n_features_in_))
@@ -115,10 +121,11 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
         tags.input_tags.positive_only = True
         return tags
 
+    def _name(self) -> MachineName:
+        return self.machine or ("svm-linear" if self.kernel == "linear" else "svm-rbf")
+
     def _machine(self) -> Any:
-        if self.kernel == "linear":
-            return LinearSVC(C=self.C, random_state=self.seed, max_iter=10_000)
-        return SVC(C=self.C, kernel=self.kernel, random_state=self.seed)
+        return make_machine(self._name(), C=self.C, gamma=self.gamma, seed=self.seed)
 
     def _linear_probabilities(self, bag: Bag) -> Array:
         """Return what ``classifier_.predict_proba`` does, without its slow checks."""
@@ -133,10 +140,10 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
         total = positive.sum()
         return positive / total if total > 0 else np.full_like(positive, 1 / len(positive))
 
-    def _folds(self, y: NDArray[Any], groups: ArrayLike | None) -> list[Any]:
+    def folds(self, y: NDArray[Any], groups: ArrayLike | None) -> list[Any]:
         """Return the (train, test) indices of the calibration folds."""
         samples = np.arange(len(y)) if groups is None else np.asarray(groups)
-        smallest = min(len(np.unique(samples[y == label])) for label in self.classes_)
+        smallest = min(len(np.unique(samples[y == label])) for label in np.unique(y))
         n_folds = min(self.n_folds, smallest)
         if n_folds >= 2 and groups is not None:
             by_group = StratifiedGroupKFold(n_folds, shuffle=True, random_state=self.seed)

@@ -12,7 +12,13 @@ table           columns
                 run is finished); ``scene`` and ``scene_probability``, null without
                 a scene classifier; ``probabilities`` float64, in the order of the
                 parameter ``classes``; ``words`` int32 and ``weights`` float32, the
-                bag; ``cloud`` float32 (N, 3) points_camera, or null
+                bag; ``cloud`` float32 (N, 3) points_camera, or null;
+                ``smoothed``, ``smoothed_probability``, ``smoothed_probabilities``,
+                the label by the keyframes around as well (by those before until the
+                run is finished); ``region`` it stands in
+``regions``     rooms: ``id``, ``label``, ``probability``, ``n_keyframes``;
+                ``center_*``, ``low_*`` and ``high_*`` of where the camera was, in
+                metres in the map frame
 ``loops``       ``id``; ``query_id`` and ``match_id``, keyframes; ``kind`` (loop or
                 covisibility); ``source`` (view, bag or proximity); ``tx ... qw``
                 (T_match_query); ``information`` float64 (6, 6), rotation first
@@ -37,15 +43,56 @@ from pathlib import Path
 
 from slam_bof.errors import MapError
 
-__all__ = ["APPLICATION_ID", "POSE", "SCHEMA", "SCHEMA_VERSION", "connect", "naming_errors"]
+__all__ = [
+    "APPLICATION_ID",
+    "BOX",
+    "POSE",
+    "SCHEMA",
+    "SCHEMA_VERSION",
+    "SMOOTHED",
+    "UPGRADES",
+    "connect",
+    "naming_errors",
+    "upgrade",
+]
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 APPLICATION_ID = 0x424F464D
 """Tells a map from other programs' databases ("BOFM")."""
 
 POSE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
+BOX = tuple(f"{corner}_{axis}" for corner in ("center", "low", "high") for axis in "xyz")
+"""Columns of a region's extent."""
+
 BUSY_TIMEOUT_S = 5.0
+
+SMOOTHED = {
+    "smoothed": "TEXT",
+    "smoothed_probability": "REAL",
+    "smoothed_probabilities": "BLOB",
+    "region": "INTEGER",
+}
+"""Columns of ``keyframes`` since version 3."""
+
+_REGIONS = f"""
+CREATE TABLE regions (
+    id INTEGER PRIMARY KEY,
+    label TEXT NOT NULL,
+    probability REAL NOT NULL,
+    n_keyframes INTEGER NOT NULL,
+    {", ".join(f"{name} REAL NOT NULL" for name in BOX)}
+);
+CREATE VIEW keyframe_labels AS
+    SELECT id, frame_index, stamp_s, scene, round(scene_probability, 3) AS probability,
+        smoothed, round(smoothed_probability, 3) AS smoothed_probability, region,
+        round(coalesce(map_tx, odom_tx), 3) AS x_m,
+        round(coalesce(map_ty, odom_ty), 3) AS y_m,
+        round(coalesce(map_tz, odom_tz), 3) AS z_m,
+        (SELECT count(*) FROM loops WHERE query_id = keyframes.id AND kind = 'loop') AS n_loops
+    FROM keyframes ORDER BY id;
+PRAGMA user_version = {SCHEMA_VERSION};
+"""
 
 SCHEMA = f"""
 BEGIN;
@@ -62,7 +109,8 @@ CREATE TABLE keyframes (
     probabilities BLOB,
     words BLOB NOT NULL,
     weights BLOB NOT NULL,
-    cloud BLOB
+    cloud BLOB,
+    {", ".join(f"{name} {kind}" for name, kind in SMOOTHED.items())}
 );
 CREATE TABLE loops (
     id INTEGER PRIMARY KEY,
@@ -91,13 +139,6 @@ CREATE TABLE candidates (
     reason TEXT NOT NULL
 );
 CREATE INDEX candidates_by_query ON candidates (query_id);
-CREATE VIEW keyframe_labels AS
-    SELECT id, frame_index, stamp_s, scene, round(scene_probability, 3) AS probability,
-        round(coalesce(map_tx, odom_tx), 3) AS x_m,
-        round(coalesce(map_ty, odom_ty), 3) AS y_m,
-        round(coalesce(map_tz, odom_tz), 3) AS z_m,
-        (SELECT count(*) FROM loops WHERE query_id = keyframes.id AND kind = 'loop') AS n_loops
-    FROM keyframes ORDER BY id;
 CREATE VIEW loop_audit AS
     SELECT query_id, match_id, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s,
         kind, source, decision, reason, round(score, 4) AS score, round(eta, 4) AS eta,
@@ -107,10 +148,21 @@ CREATE VIEW loop_audit AS
         JOIN keyframes AS q ON q.id = query_id
         JOIN keyframes AS m ON m.id = match_id
     ORDER BY candidates.id;
+{_REGIONS}
 PRAGMA application_id = {APPLICATION_ID};
-PRAGMA user_version = {SCHEMA_VERSION};
 COMMIT;
 """
+
+UPGRADES = {
+    2: f"""
+BEGIN;
+{"".join(f"ALTER TABLE keyframes ADD COLUMN {name} {kind};" for name, kind in SMOOTHED.items())}
+DROP VIEW keyframe_labels;
+{_REGIONS}
+COMMIT;
+""",
+}
+"""By the version that a map is of, what makes it one of this version."""
 
 FOUND = {
     sqlite3.SQLITE_NOTADB: "found no SQLite database, expected a map.db",
@@ -139,6 +191,18 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     db.row_factory = sqlite3.Row
     db.execute("PRAGMA foreign_keys = ON")
     db.execute("PRAGMA synchronous = NORMAL")
+    return db
+
+
+def upgrade(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
+    """Return a map of an older version as one of this: itself, or a copy of it in memory."""
+    if not in_place:
+        copy = sqlite3.connect(":memory:", isolation_level=None)
+        copy.row_factory = sqlite3.Row
+        db.backup(copy)
+        db.close()
+        db = copy
+    db.executescript(UPGRADES[version])
     return db
 
 

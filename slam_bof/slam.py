@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slam_bof import model as models
 from slam_bof import registry, se3
@@ -21,6 +21,7 @@ from slam_bof.native import one_blas_thread
 from slam_bof.parts import MapParts
 from slam_bof.points import PointParams, points_camera
 from slam_bof.ports import Backend
+from slam_bof.scene_filter import SceneFilter, SceneFilterParams
 from slam_bof.timing import StageClock
 from slam_bof.tracking import Track, Tracker
 from slam_bof.trajectory import spread_correction
@@ -61,6 +62,7 @@ class LoopCloser:
         tracker: Tracker,
         selector: KeyframeSelector,
         detector: LoopDetector,
+        labels: SceneFilterParams,
         covisibility: CovisibilityParams,
         cloud: PointParams,
         gravity_odom: ArrayLike,
@@ -73,7 +75,8 @@ class LoopCloser:
         self.loops_left_out: list[Loop] = []
         self.backend = backend
         self._describer = model.describer()
-        self._scenes = model.scenes
+        self._labeller = model.labeller()
+        self._scene_filter = SceneFilter(labels)
         self._tracker = tracker
         self._selector = selector
         self._detector = detector
@@ -117,6 +120,7 @@ class LoopCloser:
             tracker=Tracker(config.tracking, seed=config.seed),
             selector=KeyframeSelector(config.keyframes),
             detector=detector,
+            labels=config.labels,
             covisibility=config.covisibility,
             cloud=config.cloud,
             gravity_odom=config.gravity_odom,
@@ -212,6 +216,11 @@ class LoopCloser:
         return len(self._parts)
 
     @property
+    def parts(self) -> NDArray[np.intp]:
+        """The part of the map (K,) that each keyframe is in."""
+        return self._parts.of_keyframes()
+
+    @property
     def n_odometry_lost(self) -> int:
         """How often the odometry was lost so far."""
         return self._tracker.n_lost
@@ -226,16 +235,14 @@ class LoopCloser:
         with self._clock.stage("describe"):
             gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
-            scene = self._scenes.predict_bag(bag) if self._scenes else None
-        keyframe = Keyframe(
-            len(self.keyframes),
-            frame_index,
-            frame.stamp_s,
-            T_odom_camera,
-            bag,
-            scene,
-            track.segment,
-        )
+            scene = smoothed = None
+            if self._labeller is not None:
+                scene = self._labeller.label(frame, gravity_camera=gravity_camera, bag=bag)
+                smoothed = self._scene_filter.update(
+                    scene, frame.stamp_s, T_odom_camera[:3, 3], segment=track.segment
+                )
+        where = (len(self.keyframes), frame_index, frame.stamp_s, T_odom_camera)
+        keyframe = Keyframe(*where, bag, scene, track.segment, smoothed)
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
             found = self._detector.find(keyframe, frame)

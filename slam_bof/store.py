@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,10 +17,12 @@ from typing import Any, Self
 import numpy as np
 
 from slam_bof.errors import MapError
+from slam_bof.regions import Region
 from slam_bof.rows import (
     INSERT_CANDIDATE,
     INSERT_KEYFRAME,
     INSERT_LOOP,
+    INSERT_REGION,
     candidate_of,
     candidate_row,
     cloud_of,
@@ -30,16 +32,22 @@ from slam_bof.rows import (
     loop_row,
     pose_of,
     pose_row,
+    region_of,
+    region_row,
+    scene_row,
 )
 from slam_bof.schema import (
     APPLICATION_ID,
     POSE,
     SCHEMA,
     SCHEMA_VERSION,
+    SMOOTHED,
+    UPGRADES,
     connect,
     naming_errors,
+    upgrade,
 )
-from slam_bof.types import Array, Candidate, Keyframe, Loop
+from slam_bof.types import Array, Candidate, Keyframe, Loop, Scene
 
 __all__ = ["MapStore"]
 
@@ -80,7 +88,8 @@ class MapStore:
     def open(cls, path: Path | str, *, read_only: bool = True) -> Self:
         """Open a map; one that a run is still writing can be read too.
 
-        ``MapError`` if there is none, or it is of another version.
+        One of an older version is upgraded: in its file if it may be written, else in memory.
+        ``MapError`` if there is none, or it is of a version not known.
         """
         path = Path(path)
         if not path.is_file():
@@ -89,7 +98,9 @@ class MapStore:
         with naming_errors(path):
             db = connect(path, "ro" if read_only else "rw")
             try:
-                _check_version(db, path)
+                version = _version(db, path)
+                if version != SCHEMA_VERSION:
+                    db = upgrade(db, version, in_place=not read_only)
                 if not read_only:
                     db.execute("PRAGMA journal_mode = WAL")
             except BaseException:
@@ -180,6 +191,22 @@ class MapStore:
         with self._transaction():
             self._db.executemany(f"UPDATE keyframes SET {columns} WHERE id = ?", rows)
 
+    def set_scenes(self, smoothed: Sequence[Scene | None], regions: Sequence[Region]) -> None:
+        """Save the smoothed labels (K,) of all keyframes, in the order of their ids, and rooms."""
+        ids = [row["id"] for row in self.select("SELECT id FROM keyframes ORDER BY id")]
+        if len(smoothed) != len(ids):
+            raise ValueError(f"smoothed must have {len(ids)} labels, got {len(smoothed)}")
+        region_by_id = {id_: region.id for region in regions for id_ in region.keyframe_ids}
+        rows = [
+            (*scene_row(scene), region_by_id.get(id_), id_)
+            for scene, id_ in zip(smoothed, ids, strict=True)
+        ]
+        columns = ", ".join(f"{name} = ?" for name in SMOOTHED)
+        with self._transaction():
+            self._db.executemany(f"UPDATE keyframes SET {columns} WHERE id = ?", rows)
+            self._db.execute("DELETE FROM regions")
+            self._db.executemany(INSERT_REGION, map(region_row, regions))
+
     def set_parameters(self, parameters: Mapping[str, object]) -> None:
         """Save what the map was made with; values that are no strings are kept as JSON."""
         with self._transaction():
@@ -211,6 +238,14 @@ class MapStore:
             if row["map_tx"] is not None:
                 poses[i] = pose_of(row, "map_")
         return poses
+
+    def regions(self) -> list[Region]:
+        """Return the rooms of the map; none until the run is finished."""
+        inside: dict[int, list[int]] = {}
+        for row in self.select("SELECT id, region FROM keyframes WHERE region IS NOT NULL"):
+            inside.setdefault(row["region"], []).append(row["id"])
+        rows = self.select("SELECT * FROM regions ORDER BY id")
+        return [region_of(row, sorted(inside.get(row["id"], ()))) for row in rows]
 
     def cloud(self, keyframe_id: int) -> Array | None:
         """Return the points_camera (N, 3) kept with a keyframe, if there are any."""
@@ -251,10 +286,13 @@ class MapStore:
             raise ValueError(f"scene classes must stay {known}, got {tuple(classes)}")
 
 
-def _check_version(db: sqlite3.Connection, path: Path) -> None:
+def _version(db: sqlite3.Connection, path: Path) -> int:
+    """Return the version of a map's layout, this or one that can be upgraded."""
     ((application_id,),) = db.execute("PRAGMA application_id").fetchall()
     ((version,),) = db.execute("PRAGMA user_version").fetchall()
     if application_id != APPLICATION_ID:
         raise MapError(f"{path}: found no map in this database, expected a map.db of slam_bof")
-    if version != SCHEMA_VERSION:
-        raise MapError(f"{path}: found map version {version}, expected {SCHEMA_VERSION}")
+    if version != SCHEMA_VERSION and version not in UPGRADES:
+        expected = " or ".join(map(str, (*UPGRADES, SCHEMA_VERSION)))
+        raise MapError(f"{path}: found map version {version}, expected {expected}")
+    return int(version)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.levels import LevelledView, LevelScenes, look
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams, descriptors
 from slam_bof.scenes import SceneClassifier
@@ -35,13 +37,15 @@ class Descriptors:
     """The descriptors of all training frames.
 
     ``values`` (M, n_values) stack those of each frame in turn; ``counts`` (N,) says how many
-    each frame has; ``labels`` and ``groups`` are of the N frames.
+    each frame has; ``labels`` and ``groups`` are of the N frames, and ``views``, where levelled
+    views are to be labelled.
     """
 
     values: NDArray[np.float32]
     counts: NDArray[np.intp]
     labels: tuple[str | None, ...]
     groups: tuple[str, ...]
+    views: tuple[LevelledView, ...] = ()
 
 
 def train_model(
@@ -52,6 +56,7 @@ def train_model(
     seed: int = 0,
     trained_on: str,
     scenes: SceneClassifier | None = None,
+    levelled: bool = True,
     on_frame: Callable[[int], None] | None = None,
 ) -> Model:
     """Train a model of frames; without labels of two classes it has no scene classifier.
@@ -63,11 +68,13 @@ def train_model(
     trained_on
         What the frames are, in words, for the model file.
     scenes
-        The classifier to fit, by default a linear one with ``seed``.
+        The classifier of bags to fit, by default a linear one with ``seed``.
+    levelled
+        Whether the model learns to label levelled views too, which it then prefers to bags.
     on_frame
         Called with the number of frames described so far, after each.
     """
-    described = describe_frames(frames, params, on_frame=on_frame)
+    described = describe_frames(frames, params, levelled=levelled, on_frame=on_frame)
     return fit_model(
         described, params, n_words=n_words, seed=seed, trained_on=trained_on, scenes=scenes
     )
@@ -77,20 +84,24 @@ def describe_frames(
     frames: Iterable[TrainingFrame],
     params: PlaceParams,
     *,
+    levelled: bool = False,
     on_frame: Callable[[int], None] | None = None,
 ) -> Descriptors:
-    """Return the BOF descriptors of frames."""
+    """Return the BOF descriptors of frames, and what they show levelled if that is asked for."""
     values = [np.empty((0, params.bof.n_values), np.float32)]
     labels: list[str | None] = []
     groups: list[str] = []
+    views: list[LevelledView] = []
     for n_done, item in enumerate(frames, start=1):
         values.append(descriptors(item.frame, params, gravity_camera=item.gravity_camera))
         labels.append(item.label)
         groups.append(item.group)
+        if levelled:
+            views.append(look(item.frame, gravity_camera=item.gravity_camera))
         if on_frame is not None:
             on_frame(n_done)
     counts = np.array([len(part) for part in values[1:]], np.intp)
-    return Descriptors(np.concatenate(values), counts, tuple(labels), tuple(groups))
+    return Descriptors(np.concatenate(values), counts, tuple(labels), tuple(groups), tuple(views))
 
 
 def fit_model(
@@ -115,9 +126,12 @@ def fit_model(
     tf_idf = TfIdf().fit(counts)
     labelled = np.array([label is not None for label in described.labels])
     labels = np.array([label for label in described.labels if label is not None])
-    fitted = None
+    fitted = levels = None
     if len(set(labels.tolist())) > 1:
         bags = tf_idf.transform(counts)[labelled]
         groups = np.array(described.groups)[labelled]
         fitted = (scenes or SceneClassifier(seed=seed)).fit(bags, labels, groups)
-    return Model(params, vocabulary, tf_idf, fitted, trained_on)
+        if described.views:
+            views = list(compress(described.views, labelled))
+            levels = LevelScenes.learn(views, labels.tolist(), groups, seed=seed)
+    return Model(params, vocabulary, tf_idf, fitted, trained_on, levels)

@@ -141,7 +141,8 @@ class Scene:
 class Keyframe:
     """A frame that the map keeps: ids count keyframes, ``frame_index`` counts frames.
 
-    ``T_odom_camera`` and ``segment`` are as ``tracking.Track`` has them.
+    ``T_odom_camera`` and ``segment`` are as ``tracking.Track`` has them. ``scene`` is what this
+    keyframe alone shows, ``smoothed`` what is likely by the keyframes before it as well.
     """
 
     id: int
@@ -151,6 +152,7 @@ class Keyframe:
     bag: Bag
     scene: Scene | None
     segment: int = 0
+    smoothed: Scene | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,12 +17,16 @@ _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     gravity views viewstack spectra panorama slices alignment recogniser tracking
-    scenes keyframes loops covisibility parts consistency joining verification model
+    machines scenes levelled profile shapes network levels labelling
+    scene_filter regions scene_map images
+    keyframes loops covisibility parts consistency joining verification model single
     schema rows store queries
     download_catalogue download_http download_archive download recording realsense
-    registry config slam minislam mapping
+    registry labelled config slam minislam mapping
     evaluation recognition metrics synthetic training bench retrieval
-    figures matrices page misses report runs run cli
+    scene_splits scene_scores scene_methods scene_protocols
+    scene_training
+    figures scene_figures matrices page misses scene_page report runs run cli
 """
 ORDER = _ROWS.split()
 
@@ -38,6 +42,7 @@ OPEN_TO_PLUGINS = set(
         "trajectory",
         "ports",
         "points",
+        "bof",
         "places",
         "views",
         "alignment",

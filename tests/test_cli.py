@@ -148,7 +148,10 @@ def test_query_explains_mistakes(finished: Path, tmp_path: Path) -> None:
         "query", finished, "--keyframe", 77
     )
     assert "found no scene 'moon'" in refusal("query", finished, "--scene", "moon")
-    assert "--near: found '1,2', expected X,Y,Z" in refusal("query", finished, "--near", "1,2")
+    assert "--near: found '1,2', expected X Y Z" in refusal("query", finished, "--near", "1,2")
+    assert "--near: found '1,2', expected X Y Z" in refusal("query", finished, "--near", 1, 2)
+    assert "--near: found '1,nan,2', expected" in refusal("query", finished, "--near", "1,nan,2")
+    assert "--model: found without a depth image" in refusal("query", finished, "--model", "m")
     assert "--near: found 'here', expected" in refusal("query", finished, "--near", "here")
     assert "expected a map.db" in refusal("query", tmp_path)
     (tmp_path / "map.db").write_text("not a database, but long enough to look at" * 20)

@@ -97,7 +97,9 @@ def test_another_seed_gives_another_hash(model):
 
 def test_a_model_needs_no_labels(tmp_path):
     models.save(train(labelled=False), tmp_path / "test.bof")
-    assert models.load(tmp_path / "test.bof").scenes is None
+    loaded = models.load(tmp_path / "test.bof")
+    assert loaded.scenes is None
+    assert loaded.labeller() is None
 
 
 def test_the_file_holds_arrays_and_json_only(file):

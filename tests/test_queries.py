@@ -8,7 +8,8 @@ import pytest
 
 from slam_bof import se3
 from slam_bof.errors import MapError
-from slam_bof.queries import query_keyframes, query_loops
+from slam_bof.queries import query_keyframes, query_loops, query_regions
+from slam_bof.regions import Region
 from slam_bof.store import MapStore
 from slam_bof.types import Bag, Keyframe, Loop, Scene
 
@@ -62,6 +63,47 @@ def test_by_scene_and_probability(store: MapStore) -> None:
     assert ids(query_keyframes(store, scene="office", time_s=0.0)) == [2, 3]
 
 
+def smoothed(label: str, p: float) -> Scene:
+    return Scene(label, max(p, 1 - p), CLASSES, np.array([p, 1 - p]))
+
+
+@pytest.fixture
+def rooms(store: MapStore) -> MapStore:
+    """The same, with smoothed labels of which one differs, and two rooms."""
+    labels = [("kitchen", 0.9), ("kitchen", 0.8), ("kitchen", 0.7), ("unknown", 0.5)]
+    box = ((1.0, 0.0, 0.0),) * 3
+    store.set_scenes(
+        [smoothed(*label) for label in labels],
+        [Region(0, "kitchen", 0.6, (0, 1), *box), Region(1, "kitchen", 0.7, (2,), *box)],
+    )
+    return store
+
+
+def test_smoothed_labels_go_before_raw_ones(rooms: MapStore) -> None:
+    assert ids(query_keyframes(rooms, scene="kitchen")) == [0, 1, 2]
+    assert ids(query_keyframes(rooms, scene="kitchen", labels="raw")) == [0, 1]
+    assert ids(query_keyframes(rooms, scene="kitchen", min_probability=0.75)) == [0, 1]
+    assert ids(query_keyframes(rooms, scene="unknown")) == [3]
+    assert query_keyframes(rooms, scene="office") == []
+    (record,) = query_keyframes(rooms, keyframe_id=2)
+    assert (record.scene, record.smoothed, record.region) == ("office", "kitchen", 1)
+    assert record.smoothed_probability == 0.7
+
+
+def test_a_probability_may_be_asked_for_without_a_scene(rooms: MapStore) -> None:
+    assert ids(query_keyframes(rooms, min_probability=0.65)) == [0, 1, 2]
+    assert query_keyframes(rooms, keyframe_id=3, min_probability=0.65) == []
+
+
+def test_where_the_kitchen_is(rooms: MapStore) -> None:
+    assert ids(query_regions(rooms)) == [0, 1]
+    assert ids(query_regions(rooms, scene="kitchen")) == [1, 0], "the most probable first"
+    assert ids(query_regions(rooms, min_probability=0.65)) == [1]
+    assert query_regions(rooms, scene="office") == []
+    with pytest.raises(MapError, match="found no scene 'attic'"):
+        query_regions(rooms, scene="attic")
+
+
 def test_one_keyframe_with_all_that_is_known_of_it(store: MapStore) -> None:
     (record,) = query_keyframes(store, keyframe_id=3)
     assert asdict(record) == {
@@ -70,6 +112,9 @@ def test_one_keyframe_with_all_that_is_known_of_it(store: MapStore) -> None:
         "stamp_s": 103.0,
         "scene": "office",
         "scene_probability": 0.9,
+        "smoothed": None,
+        "smoothed_probability": None,
+        "region": None,
         "frame": "odom",
         "translation_m": (3.0, 0.0, 0.0),
         "quaternion_xyzw": (0.0, 0.0, 0.0, 1.0),
@@ -103,7 +148,9 @@ def test_records_turn_into_json(store: MapStore) -> None:
 def test_what_the_map_has_not_got_is_named(store: MapStore) -> None:
     with pytest.raises(MapError, match="found no keyframe 4, expected one of its 4"):
         query_keyframes(store, keyframe_id=4)
-    with pytest.raises(MapError, match="found no scene 'attic', expected one of: kitchen, office"):
+    with pytest.raises(
+        MapError, match="found no scene 'attic', expected one of: kitchen, office, unknown"
+    ):
         query_keyframes(store, scene="attic")
 
 

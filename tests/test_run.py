@@ -13,6 +13,7 @@ import pytest
 from slam_bof import DepthFrame, LoopCloser, registry
 from slam_bof.config import override, preset
 from slam_bof.run import run_sequence
+from slam_bof.store import MapStore
 from slam_bof.synthetic import KINECT, Scene3D, make_room, spin, write_sequence
 from slam_bof.trajectory import read_kitti, read_tum
 from slam_bof_plugins.odometry_kiss_icp import KissIcpOdometry
@@ -93,6 +94,20 @@ def test_the_audit_trail_names_each_decision(finished):
     assert len(accepted) == graph.execute("SELECT count(*) FROM loops").fetchone()[0]
     assert all(r["reason"] for r in rows if r["decision"] != "accepted")
     graph.close()
+
+
+def test_the_map_has_raw_and_smoothed_labels_and_rooms(finished):
+    with MapStore.open(finished.folder / "map.db") as store:
+        keyframes, regions = store.keyframes(), store.regions()
+    assert all(k.scene is not None and k.smoothed is not None for k in keyframes)
+    own, smoothed = (
+        np.array([scene.probabilities for scene in scenes])
+        for scenes in ([k.scene for k in keyframes], [k.smoothed for k in keyframes])
+    )
+    assert np.abs(np.diff(smoothed, axis=0)).sum() < np.abs(np.diff(own, axis=0)).sum()
+    assert len(regions) == finished.metrics["n_regions"] >= 1
+    inside = [id_ for region in regions for id_ in region.keyframe_ids]
+    assert sorted(inside) == [k.id for k in keyframes]
 
 
 def test_same_input_and_seed_same_bytes(finished, sequence, tmp_path):

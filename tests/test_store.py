@@ -12,7 +12,8 @@ import pytest
 
 from slam_bof import se3
 from slam_bof.errors import MapError
-from slam_bof.schema import SCHEMA_VERSION
+from slam_bof.regions import Region
+from slam_bof.schema import SCHEMA_VERSION, SMOOTHED
 from slam_bof.store import MapStore
 from slam_bof.types import Bag, Candidate, Keyframe, Loop, Scene
 
@@ -252,12 +253,69 @@ def test_what_is_no_map_is_named(path: Path, tmp_path: Path) -> None:
         MapStore.open(path)
 
 
+def make_old(path: Path) -> None:
+    """Turn a map into one of version 2, which knew no smoothed labels and no rooms."""
+    db = sqlite3.connect(path)
+    db.execute("DROP VIEW keyframe_labels")
+    db.execute("DROP TABLE regions")
+    for column in SMOOTHED:
+        db.execute(f"ALTER TABLE keyframes DROP COLUMN {column}")
+    db.execute("CREATE VIEW keyframe_labels AS SELECT id FROM keyframes")
+    db.execute("PRAGMA user_version = 2")
+    db.commit()
+    db.close()
+
+
+@pytest.mark.parametrize("read_only", [True, False])
+def test_an_older_map_is_upgraded(path: Path, read_only: bool) -> None:
+    with MapStore.create(path) as store:
+        store.add(make_keyframe(0))
+    make_old(path)
+    before = path.read_bytes()
+    with MapStore.open(path, read_only=read_only) as store:
+        (keyframe,) = store.keyframes()
+        assert keyframe.smoothed is None
+        assert store.regions() == []
+        ((region,),) = store.select("SELECT region FROM keyframe_labels")
+        assert region is None
+    assert (path.read_bytes() == before) == read_only
+    with MapStore.open(path) as store:
+        assert len(store.keyframes()) == 1
+
+
+def test_smoothed_labels_and_rooms(path: Path) -> None:
+    kitchen = Scene("kitchen", 0.7, CLASSES, np.array([0.7, 0.3]))
+    unsure = Scene("unknown", 0.5, CLASSES, np.array([0.5, 0.5]))
+    region = Region(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
+    with MapStore.create(path) as store:
+        store.add(replace(make_keyframe(0), smoothed=unsure))
+        store.add(make_keyframe(1))
+        store.add(make_keyframe(2))
+        assert [k.smoothed and k.smoothed.label for k in store.keyframes()] == [
+            "unknown", None, None,
+        ]  # fmt: skip
+        for _ in range(2):
+            store.set_scenes([kitchen, None, unsure], [region])
+        assert store.regions() == [region]
+        first, second, third = store.keyframes()
+        np.testing.assert_array_equal(first.smoothed.probabilities, kitchen.probabilities)
+        assert (first.smoothed.label, first.smoothed.probability) == ("kitchen", 0.7)
+        assert second.smoothed is None
+        assert third.smoothed.label == "unknown"
+        rows = store.select("SELECT smoothed, smoothed_probability, region FROM keyframe_labels")
+        assert [tuple(row) for row in rows] == [
+            ("kitchen", 0.7, 0), (None, None, None), ("unknown", 0.5, 0),
+        ]  # fmt: skip
+        with pytest.raises(ValueError, match="smoothed must have 3 labels, got 1"):
+            store.set_scenes([kitchen], [])
+
+
 def test_another_version_is_named(path: Path) -> None:
     MapStore.create(path).close()
     db = sqlite3.connect(path)
     db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     db.close()
-    with pytest.raises(MapError, match="found map version 3, expected 2"):
+    with pytest.raises(MapError, match="found map version 4, expected 2 or 3"):
         MapStore.open(path)
 
 

@@ -48,6 +48,16 @@ def test_a_model_tells_unseen_frames_apart():
     assert model.trained_on == "boxes"
 
 
+def test_a_bag_at_hand_spares_the_labeller_describing_the_frame():
+    model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes", levelled=False)
+    box, cross = (item.frame for item in frames(first=100, n=2))
+    labeller = model.labeller()
+    asked = labeller.label(box)
+    assert asked.label == "box"
+    given = labeller.label(cross, bag=model.describer().describe(box))
+    np.testing.assert_array_equal(given.probabilities, asked.probabilities)
+
+
 def test_frames_are_described_in_order_and_reported():
     seen = []
     described = describe_frames(frames(n=5), PARAMS, on_frame=seen.append)

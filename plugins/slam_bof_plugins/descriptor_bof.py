@@ -6,11 +6,13 @@ from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from slam_bof.places import PlaceParams, descriptors
+from slam_bof.bof import BofParams
+from slam_bof.places import PlaceParams, descriptors, layer_rows
 from slam_bof.types import DepthFrame
 
-__all__ = ["BofDescriptor"]
+__all__ = ["BofDescriptor", "LayerBofDescriptor", "LayerBofParams"]
 
 
 class BofDescriptor:
@@ -27,3 +29,25 @@ class BofDescriptor:
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.float32]:
         """Return the BOF descriptors, (C, n_values)."""
         return descriptors(frame, self._params)
+
+
+class LayerBofParams(PlaceParams):
+    """As for ``bof``, but contours are sampled by angle, and coarsely."""
+
+    bof: BofParams = Field(default=BofParams(n_points=36, sampling="angle"))
+
+
+class LayerBofDescriptor:
+    """The descriptor of each layer's largest contour, in one row: for a neural network."""
+
+    Params = LayerBofParams
+    needs_gray: ClassVar[bool] = False
+    is_binary: ClassVar[bool] = False
+    comparison: ClassVar[str] = "l1"
+
+    def __init__(self, params: LayerBofParams) -> None:
+        self._params = params
+
+    def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.float32]:
+        """Return the rows of all layers side by side, (1, n_images * n_values)."""
+        return layer_rows(frame, self._params)

@@ -12,15 +12,18 @@ from numpy.typing import NDArray
 from slam_bof import registry
 from slam_bof.bench.cost import Cost
 from slam_bof.errors import DatasetError
+from slam_bof.labelled import LabelledFrame
 from slam_bof.ports import Dataset, Descriptor
-from slam_bof.types import DepthFrame
+from slam_bof.vocabulary import TfIdf, Vocabulary, count_words
 
-__all__ = ["METHODS", "BenchFrame", "Described", "Method", "Progress", "choose_frames", "describe"]
+__all__ = ["METHODS", "Described", "Method", "Progress", "choose_frames", "describe", "learn_bags"]
 
 BLOCK = 25
 """Frames that one method describes before it is the next one's turn."""
 N_REPEATS = 10
 """How often process 1 describes one frame."""
+MAX_SAMPLES = 150_000
+"""Local features that ``learn_bags`` learns words of at most."""
 N_STRETCHES = 5
 """Classes that a single sequence is cut into, where it has frames enough."""
 
@@ -45,26 +48,6 @@ METHODS = (
     Method("ORB", "orb", {}, 150_000),
 )
 """The paper's three, with its numbers of samples (section 4.4), and ORB."""
-
-
-@dataclass(frozen=True, slots=True)
-class BenchFrame:
-    """A frame of a data set, with the class that it is taken for."""
-
-    dataset: Dataset
-    index: int
-    label: str
-
-    def read(self, *, gray: bool) -> tuple[DepthFrame, NDArray[np.uint8] | None]:
-        """Read the depth image, and the grey one if asked for."""
-        frame = self.dataset.frame(self.index)
-        image = self.dataset.gray(self.index) if gray else None
-        if gray and image is None:
-            raise DatasetError(
-                f"{self.dataset.sequence}: frame {self.index} has no colour image, "
-                "expected one for every frame, or for none"
-            )
-        return frame, image
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +98,33 @@ class Described:
         )
 
 
-def choose_frames(datasets: Sequence[Dataset], n_frames: int | None = None) -> list[BenchFrame]:
+def learn_bags(
+    found: Described, name: str, *, n_words: int, seed: int
+) -> tuple[tuple[Vocabulary, TfIdf], NDArray[np.int64]]:
+    """Learn words and idf of what a method called ``name`` found in frames.
+
+    Returns
+    -------
+    bags : tuple
+        The vocabulary and the weights of its words.
+    counts : NDArray
+        (N, n_words) how often each frame has each word.
+
+    Raises
+    ------
+    DatasetError
+        If that is fewer descriptors than words.
+    """
+    if len(found) < n_words:
+        raise DatasetError(f"found {len(found)} descriptors of {name}, expected at least {n_words}")
+    vocabulary = Vocabulary(n_words=n_words, seed=seed).fit(found.samples(MAX_SAMPLES, seed))
+    counts = count_words(
+        [vocabulary.lookup(found.numbers(values)) for values in found.values], n_words
+    )
+    return (vocabulary, TfIdf().fit(counts)), counts
+
+
+def choose_frames(datasets: Sequence[Dataset], n_frames: int | None = None) -> list[LabelledFrame]:
     """Return the frames of all sequences, or so many of each, evenly spaced.
 
     Several sequences are a class each; one is cut into stretches of time.
@@ -140,12 +149,12 @@ def choose_frames(datasets: Sequence[Dataset], n_frames: int | None = None) -> l
         for k, index in enumerate(np.linspace(0, len(dataset) - 1, n).round().astype(int)):
             if len(datasets) == 1:
                 label = f"stretch {k * n_stretches // n + 1}"
-            frames.append(BenchFrame(dataset, int(index), label))
+            frames.append(LabelledFrame(dataset, int(index), label))
     return frames
 
 
 def describe(
-    frames: Sequence[BenchFrame], methods: Sequence[Method], on_progress: Progress
+    frames: Sequence[LabelledFrame], methods: Sequence[Method], on_progress: Progress
 ) -> tuple[Cost, dict[str, Described]]:
     """Describe frames by all methods; return the cost of reading them, and what each found."""
     described = {

@@ -12,7 +12,6 @@ from slam_bof.bench.cost import Cost, one_thread
 from slam_bof.bench.describing import (
     METHODS,
     N_REPEATS,
-    BenchFrame,
     Described,
     Method,
     Progress,
@@ -20,6 +19,7 @@ from slam_bof.bench.describing import (
     describe,
 )
 from slam_bof.bench.querying import measure_index, measure_recall
+from slam_bof.labelled import LabelledFrame
 from slam_bof.metrics import peak_rss_mb
 from slam_bof.model import classifier_bytes
 from slam_bof.packing import pack, unpack
@@ -121,7 +121,12 @@ def _methods(datasets: Sequence[Dataset]) -> tuple[list[Method], dict[str, str]]
 
 
 def _measure(
-    frames: Sequence[BenchFrame], method: Method, described: Described, *, n_words: int, seed: int
+    frames: Sequence[LabelledFrame],
+    method: Method,
+    described: Described,
+    *,
+    n_words: int,
+    seed: int,
 ) -> tuple[dict[str, Any], list[Bag]]:
     """Return a column of the tables, and the bags of all frames."""
     codebook, lookup, weighing, bagging = Cost(), Cost(), Cost(), Cost()
@@ -175,7 +180,7 @@ def _measure(
 
 
 def _classify(
-    frames: Sequence[BenchFrame], matrix: Any, seed: int
+    frames: Sequence[LabelledFrame], matrix: Any, seed: int
 ) -> tuple[Cost, Cost, SceneClassifier]:
     training, classification = Cost(), Cost()
     labels = np.array([frame.label for frame in frames])
@@ -187,7 +192,7 @@ def _classify(
 
 
 def _measure_packed(
-    frames: Sequence[BenchFrame],
+    frames: Sequence[LabelledFrame],
     described: Described,
     vocabulary: Vocabulary,
     tf_idf: TfIdf,
@@ -205,7 +210,7 @@ def _measure_packed(
 
 
 def _recall(
-    frames: Sequence[BenchFrame], bags: Sequence[Bag], n_words: int
+    frames: Sequence[LabelledFrame], bags: Sequence[Bag], n_words: int
 ) -> dict[str, float | None] | None:
     """Return the recall of each ``QUERY_EVERY``-th frame of one sequence with ground truth."""
     dataset = frames[0].dataset

@@ -11,9 +11,11 @@ from typer.core import TyperGroup
 from slam_bof.cli.benching import bench
 from slam_bof.cli.evaluating import evaluate
 from slam_bof.cli.fetching import download, record
-from slam_bof.cli.maps import export, query, report
+from slam_bof.cli.maps import export, report
+from slam_bof.cli.querying import QueryCommand, query
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
+from slam_bof.cli.training import train
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
@@ -58,9 +60,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in (
-    demo, run, query, report, export, bench, download, record, plugins, config, doctor, version
-):  # fmt: skip
-    app.command()(command)
+    *(demo, run, query, report, export, train),
+    *(bench, download, record, plugins, config, doctor, version),
+):
+    app.command(cls=QueryCommand if command is query else None)(command)
 app.add_typer(evaluate, name="evaluate")
 
 

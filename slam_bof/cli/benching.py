@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from slam_bof.cli.options import JSON, QUIET
-
-if TYPE_CHECKING:
-    from slam_bof.cli.console import Bar
 
 __all__ = ["bench"]
 
@@ -54,10 +50,10 @@ def bench(
     """Measure what BOF costs beside SIFT and ORB: CPU time, memory, queries (one thread)."""
     from slam_bof import registry
     from slam_bof.bench import run_bench
-    from slam_bof.cli.console import print_json
+    from slam_bof.cli.console import Bars, print_json
 
     datasets = [registry.open_dataset(path) for path in data]
-    with _Bars(quiet=quiet) as bars:
+    with Bars(quiet=quiet) as bars:
         figures = run_bench(
             datasets,
             n_frames=n_frames,
@@ -70,24 +66,6 @@ def bench(
         print_json(figures)
     else:
         _print(figures)
-
-
-class _Bars(ExitStack):
-    """A progress bar for each thing that is done, one after the other."""
-
-    def __init__(self, *, quiet: bool) -> None:
-        super().__init__()
-        self._quiet = quiet
-        self._bars: dict[str, Bar] = {}
-
-    def show(self, what: str, done: int, total: int) -> None:
-        """Tell how far it has come."""
-        from slam_bof.cli.console import Bar
-
-        if what not in self._bars:
-            self.close()
-            self._bars[what] = self.enter_context(Bar(what, quiet=self._quiet, live=False))
-        self._bars[what].show(done, total)
 
 
 def _print(figures: dict[str, Any]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
+from contextlib import ExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -22,7 +23,7 @@ from rich.table import Table
 if TYPE_CHECKING:
     from slam_bof.types import Step
 
-__all__ = ["Bar", "FrameBar", "print_json", "print_table"]
+__all__ = ["Bar", "Bars", "FrameBar", "print_json", "print_table"]
 
 UNLIMITED = 10_000
 """Columns of a terminal that no table fills."""
@@ -99,6 +100,22 @@ class Bar:
     def warn(self, message: str) -> None:
         """Print a warning above the bar."""
         self._console.print(f"warning: {message}", markup=False)
+
+
+class Bars(ExitStack):
+    """A progress bar for each thing that is done, one after the other; none is ``live``."""
+
+    def __init__(self, *, quiet: bool) -> None:
+        super().__init__()
+        self._quiet = quiet
+        self._bars: dict[str, Bar] = {}
+
+    def show(self, what: str, done: int, total: int) -> None:
+        """Tell how far it has come."""
+        if what not in self._bars:
+            self.close()
+            self._bars[what] = self.enter_context(Bar(what, quiet=self._quiet, live=False))
+        self._bars[what].show(done, total)
 
 
 class FrameBar(Bar):

@@ -1,4 +1,4 @@
-"""``slam-bof evaluate``: how often a description finds the place again."""
+"""``slam-bof evaluate``: how often a description finds the place again; scene labels."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slam_bof.cli.options import JSON, QUIET
+from slam_bof.cli.scene_evaluation import scenes
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,6 +28,9 @@ evaluate = typer.Typer(help="Judge descriptions of frames by ground truth.", no_
 @evaluate.callback()
 def _group() -> None:
     """Judge descriptions of frames by ground truth."""
+
+
+evaluate.command()(scenes)
 
 
 @evaluate.command()

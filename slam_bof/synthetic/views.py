@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.synthetic.furnisher import distance_to_boxes
 from slam_bof.synthetic.rooms import Room, make_room
-from slam_bof.synthetic.scene import Scene3D
+from slam_bof.synthetic.scene import Scene3D, View
 from slam_bof.synthetic.sensor import SensorParams, sense
 from slam_bof.synthetic.tour import FRAME_RATE_HZ, camera_poses
 from slam_bof.types import DepthFrame, Pose
 
-__all__ = ["training_views"]
+__all__ = ["shaded_views", "training_views"]
 
 _TRIES = 200
 
@@ -40,6 +41,25 @@ def training_views(
         640x480 uint16 millimetres. Eyes are 1.1 to 1.7 m high, half a metre from furniture,
         and look at nothing nearer than 0.6 m.
     """
+    for frame, _ in _views(kind, seed, n_views, sensor):
+        yield frame
+
+
+def shaded_views(
+    kind: str, seed: int, n_views: int, *, sensor: SensorParams | None = None
+) -> Iterator[tuple[DepthFrame, NDArray[np.uint8]]]:
+    """Yield the same views, each with the shading of its surfaces, (480, 640) grey.
+
+    That is what a camera with a lamp beside it would see if all were of one colour.
+    """
+    for frame, view in _views(kind, seed, n_views, sensor):
+        shade = 255.0 * view.cosine * (view.depth_m > 0)
+        yield frame, shade.astype(np.uint8)
+
+
+def _views(
+    kind: str, seed: int, n_views: int, sensor: SensorParams | None
+) -> Iterator[tuple[DepthFrame, View]]:
     room = make_room(kind, seed)
     scene = Scene3D(room.mesh)
     rng = np.random.default_rng([seed, 11])
@@ -51,7 +71,7 @@ def training_views(
             if near > 0.6 and np.mean(seen > 0) > 0.5:
                 break
         depth = sense(view.depth_m, view.returned, rng, sensor)
-        yield DepthFrame(i / FRAME_RATE_HZ, depth, scene.intrinsics)
+        yield DepthFrame(i / FRAME_RATE_HZ, depth, scene.intrinsics), view
 
 
 def _viewpoint(room: Room, rng: np.random.Generator) -> Pose:

@@ -11,7 +11,7 @@ FRAME = DepthFrame(0.0, box_room_depth_mm(CAMERA, np.eye(4)), CAMERA)
 
 
 LOCAL = ["bof", "orb", "sift"]
-GLOBAL = ["ferns", "gist", "gist-depth", "occupancy", "thumbnail"]
+GLOBAL = ["bof-layers", "ferns", "gist", "gist-depth", "occupancy", "thumbnail"]
 
 
 @pytest.fixture(params=LOCAL + GLOBAL)
@@ -131,3 +131,16 @@ def test_size_of_the_gist_is_that_of_its_parameters():
     options = {"n_blocks": 3, "block_px": 20, "n_scales": 2, "n_orientations": 6}
     few = registry.build("descriptors", "gist", options)
     assert few.describe(FRAME, speckle(0)).shape == (1, 3 * 3 * 2 * 6)
+
+
+def test_a_row_holds_the_largest_contour_of_every_layer():
+    params = PlaceParams.model_validate(
+        {"layers": {"n_layers": 4}, "bof": {"n_points": 12, "sampling": "angle"}}
+    )
+    options = params.model_dump(mode="json")
+    row = registry.build("descriptors", "bof-layers", options).describe(FRAME, None)
+    assert row.shape == (1, 4 * 12)
+    found = descriptors(FRAME, params)
+    for layer in row.reshape(4, 12):
+        assert (layer == 0).all() or (found == layer).all(axis=1).any()
+    assert (row.reshape(4, 12).max(axis=1) == 1).any()

@@ -1,0 +1,182 @@
+"""Single depth images: files read by themselves, with the camera that took them."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Self
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.errors import DatasetError
+from slam_bof.types import DepthFrame, Intrinsics
+
+__all__ = ["CAMERA_FILE", "DepthImages", "is_image", "read_depth_image"]
+
+SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg")
+"""Files that are taken for images; those of 8 bits are told what is expected."""
+KINECT_FOCAL_PX = 585.0
+"""Of an image 640 pixels wide, the 7-Scenes depth camera's."""
+CAMERA_FILE = "intrinsics.json"
+MILLIMETRES = 1000.0
+FRAMES_PER_S = 30.0
+
+
+def is_image(path: Path) -> bool:
+    """Tell by its name whether a file is taken for an image."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def read_depth_image(
+    path: Path,
+    *,
+    intrinsics: Sequence[float] | None = None,
+    depth_scale: float | None = None,
+    stamp_s: float = 0.0,
+) -> tuple[DepthFrame, str]:
+    """Read a depth image (16-bit PNG or TIFF, or .npy of uint16 or float).
+
+    Parameters
+    ----------
+    path
+        The file.
+    intrinsics
+        fx, fy, cx, cy in pixels. By default those of ``intrinsics.json`` beside the image (width,
+        height, fx, fy, cx, cy; depth_scale), or else a Kinect's, scaled to the image's width.
+    depth_scale
+        Units a metre; by default as that file has it, or else 1000, and 1 for floats.
+    stamp_s
+        Its time.
+
+    Returns
+    -------
+    frame : DepthFrame
+        The image.
+    source : str
+        Where the intrinsics are from, in words.
+
+    Raises
+    ------
+    DatasetError
+        If the file is no depth image, or ``intrinsics.json`` is not of this image.
+    """
+    depth = _read(path)
+    height, width = depth.shape
+    camera_file = path.parent / CAMERA_FILE
+    if intrinsics is not None:
+        fx, fy, cx, cy = intrinsics
+        if min(fx, fy) <= 0:
+            raise DatasetError(f"{path}: found focal lengths {fx:g} {fy:g}, expected positive ones")
+        camera, source = Intrinsics(width, height, fx, fy, cx, cy), "as given"
+    elif camera_file.is_file():
+        camera, scale = _read_camera(camera_file, width, height)
+        depth_scale, source = depth_scale or scale, f"from {camera_file}"
+    else:
+        focal_px = KINECT_FOCAL_PX * width / 640.0
+        camera = Intrinsics(width, height, focal_px, focal_px, width / 2, height / 2)
+        source = f"assumed, a Kinect's; found no {CAMERA_FILE} beside the image"
+    is_float = depth.dtype.kind == "f"
+    scale = depth_scale or (1.0 if is_float else MILLIMETRES)
+    if is_float or scale != MILLIMETRES:
+        missing = depth == np.iinfo(np.uint16).max if not is_float else ~np.isfinite(depth)
+        depth = np.where(missing, 0.0, depth / scale).astype(np.float32)
+    return DepthFrame(stamp_s, depth, camera), source
+
+
+class DepthImages:
+    """Depth images in the order given, as a data set without colour, poses or labels.
+
+    An image's time is the number that its name ends with, at 30 Hz; where these do not grow, its
+    place in the list.
+    """
+
+    name: ClassVar[str] = "images"
+
+    def __init__(self, files: Sequence[Path]) -> None:
+        self._files = tuple(files)
+        self.sequence = files[0].parent.resolve().name
+        numbers = [re.search(r"(\d{1,12})\D*$", file.stem) for file in files]
+        values = [int(number[1]) if number else 0 for number in numbers]
+        grow = all(a < b for a, b in itertools.pairwise(values))
+        self._stamps_s = np.array(values if grow else range(len(files))) / FRAMES_PER_S
+        self.intrinsics = self.frame(0).intrinsics
+
+    @classmethod
+    def recognises(cls, path: Path) -> bool:
+        """Tell whether this is an image file."""
+        return path.is_file() and is_image(path)
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open a single image."""
+        return cls([path])
+
+    def __len__(self) -> int:
+        """Return the number of images."""
+        return len(self._files)
+
+    def frame(self, index: int) -> DepthFrame:
+        """Read an image."""
+        return read_depth_image(self._files[index], stamp_s=float(self._stamps_s[index]))[0]
+
+    def color(self, index: int) -> None:
+        """Return None: no colour."""
+
+    def gray(self, index: int) -> None:
+        """Return None: no colour."""
+
+    def groundtruth(self) -> None:
+        """Return None: no poses."""
+
+    def scenes(self) -> None:
+        """Return None: no labels."""
+
+
+def _read(path: Path) -> NDArray[Any]:
+    if not path.is_file():
+        raise DatasetError(f"{path}: found no such file, expected a depth image")
+    if path.suffix.lower() == ".npy":
+        try:
+            image = np.asarray(np.load(path, allow_pickle=False))
+        except (OSError, ValueError, EOFError) as error:
+            reason = " ".join(str(error).split())
+            raise DatasetError(f"{path}: found no array ({reason}), expected depth") from error
+    else:
+        coded = np.fromfile(path, np.uint8)
+        read = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if len(coded) else None
+        if read is None:
+            raise DatasetError(f"{path}: found no image that can be read, expected 16-bit depth")
+        image = np.asarray(read)
+    if image.ndim != 2 or not (image.dtype == np.uint16 or image.dtype.kind == "f"):
+        shape = "x".join(map(str, image.shape))
+        raise DatasetError(
+            f"{path}: found an image {shape} of {image.dtype}, expected one channel of uint16, "
+            "or of floats in metres"
+        )
+    return image
+
+
+def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None]:
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+        size = int(found["width"]), int(found["height"])
+        fx, fy, cx, cy = (float(found[name]) for name in ("fx", "fy", "cx", "cy"))
+        scale = found.get("depth_scale")
+        scale = None if scale is None else float(scale)
+        sound = np.isfinite([fx, fy, cx, cy]).all() and min(fx, fy) > 0
+        if not sound or (scale is not None and not 0 < scale < np.inf):
+            raise ValueError("focal length or depth_scale is not positive")
+    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        raise DatasetError(
+            f"{file}: found {error!r}, expected JSON with width, height, fx, fy, cx, cy"
+        ) from error
+    if size != (width, height):
+        raise DatasetError(
+            f"{file}: found {size[0]}x{size[1]} pixels, expected {width}x{height} as the image"
+        )
+    return Intrinsics(width, height, fx, fy, cx, cy), scale
