@@ -30,7 +30,11 @@ FURTHEST = 4.0
 """Standard deviations from the mean, beyond which a number is taken to be there."""
 LEARNING_RATE = 5e-4
 BATCH = 200
+MAX_PASSES = 300
 TEMPERATURES = (0.3, 10.0)
+UNGROUPED_TEMPERATURES = (1.0, 10.0)
+"""Where frames of one sequence stand on both sides of a fold, held-out ones look more like those
+trained on than what is to come does: they never make it more certain."""
 
 
 @dataclass(eq=False, repr=False)
@@ -46,7 +50,7 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
     decay
         Weight decay for each sample of a batch.
     n_steps
-        Batches learnt from, at least.
+        Batches learnt from, at least, but samples are seen ``MAX_PASSES`` times at most.
     n_folds
         For the temperature; fewer where the smallest class has fewer samples (or groups).
     seed
@@ -98,7 +102,8 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
                 self._learn(X[train], index[train])
                 held_out[test] = self._logits(X[test])
             self._learn(X, index)
-        self.temperature_ = _temperature(held_out, index)
+        bounds = UNGROUPED_TEMPERATURES if groups is None else TEMPERATURES
+        self.temperature_ = _temperature(held_out, index, bounds)
         return self
 
     def predict_proba(self, X: Any) -> Array:
@@ -123,7 +128,7 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
         deviation = X.std(axis=0)
         self.scale_ = np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32)
         inputs, batch = self._standardise(X), min(BATCH, len(X))
-        n_passes = -(-self.n_steps * batch // len(X))
+        n_passes = min(-(-self.n_steps * batch // len(X)), MAX_PASSES)
         networks = [
             MLPClassifier(
                 (self.n_hidden,),
@@ -180,12 +185,14 @@ def _both_classes(weights: Array, n_classes: int) -> Array:
     return np.concatenate([np.zeros_like(weights), weights], axis=-1)
 
 
-def _temperature(logits: NDArray[np.float32], index: NDArray[np.intp]) -> float:
+def _temperature(
+    logits: NDArray[np.float32], index: NDArray[np.intp], bounds: tuple[float, float]
+) -> float:
     """Return what logits (n, n_classes) are best divided by, classes (n,) being true."""
 
     def surprise(log_temperature: float) -> float:
         scaled = log_softmax(logits.astype(np.float64) / np.exp(log_temperature), axis=1)
         return float(-scaled[np.arange(len(index)), index].mean())
 
-    bounds = tuple(np.log(TEMPERATURES))
-    return float(np.exp(minimize_scalar(surprise, bounds=bounds, method="bounded").x))
+    logarithms = tuple(np.log(bounds))
+    return float(np.exp(minimize_scalar(surprise, bounds=logarithms, method="bounded").x))

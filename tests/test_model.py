@@ -1,3 +1,4 @@
+import copy
 import hashlib
 import io
 import json
@@ -5,6 +6,7 @@ import string
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +15,19 @@ import pytest
 from slam_bof import model as models
 from slam_bof.errors import ModelError
 from slam_bof.layers import LayerParams
+from slam_bof.levels import LevelledView
 from slam_bof.places import PlaceParams
+from slam_bof.profile import N_PROFILE
 from slam_bof.scenes import SceneClassifier
+from slam_bof.shapes import N_SHAPE
+from slam_bof.synthetic import training_views
+from slam_bof.synthetic.rooms import ROOM_KINDS
 from slam_bof.training import Descriptors, fit_model
 
 PARAMS = PlaceParams(layers=LayerParams(n_layers=3))
 
 
-def train(seed=0, scenes=None, labelled=True):
+def train(seed=0, scenes=None, labelled=True, levelled=False):
     rng = np.random.default_rng(0)
     n_frames, each = 60, 6
     kinds = np.arange(n_frames) % 3
@@ -28,8 +35,13 @@ def train(seed=0, scenes=None, labelled=True):
     values[np.arange(n_frames), :, kinds * 60] += 1.0
     labels = tuple("abc"[k] if labelled else None for k in kinds)
     groups = tuple(f"seq-{i // 6}" for i in range(n_frames))
+    views = tuple(
+        LevelledView(np.full(N_PROFILE, k, np.float32), np.full((2, N_SHAPE), k + i, np.float32))
+        for i, k in enumerate(kinds)
+        if levelled
+    )
     described = Descriptors(
-        values.reshape(-1, 180).astype(np.float32), np.full(n_frames, each), labels, groups
+        values.reshape(-1, 180).astype(np.float32), np.full(n_frames, each), labels, groups, views
     )
     return fit_model(
         described, PARAMS, n_words=12, seed=seed, trained_on="random shapes", scenes=scenes
@@ -72,6 +84,33 @@ def test_what_is_saved_is_what_is_loaded(tmp_path, scenes):
     np.testing.assert_array_equal(
         loaded.scenes.predict_bag(bag).probabilities, model.scenes.predict_bag(bag).probabilities
     )
+
+
+@pytest.fixture(scope="module")
+def levelled():
+    return train(levelled=True)
+
+
+def test_what_labels_levelled_views_is_kept_as_arrays(tmp_path, levelled):
+    model = levelled
+    models.save(model, tmp_path / "test.bof")
+    loaded = models.load(tmp_path / "test.bof")
+    view = LevelledView(np.full(N_PROFILE, 1.0, np.float32), np.full((2, N_SHAPE), 5, np.float32))
+    expected, found = (m.levels.label_view(view) for m in (model, loaded))
+    assert found.label == expected.label == "b"
+    np.testing.assert_array_equal(found.probabilities, expected.probabilities)
+    assert loaded.labeller() is loaded.levels
+    models.save(loaded, tmp_path / "again.bof")
+    assert (tmp_path / "again.bof").read_bytes() == (tmp_path / "test.bof").read_bytes()
+
+
+def test_levels_that_do_not_fit_are_no_model(tmp_path, levelled):
+    network = copy.copy(levelled.levels.network)
+    network.hidden_ = network.hidden_[:, :-1]
+    levels = replace(levelled.levels, network=network)
+    models.save(replace(levelled, levels=levels), tmp_path / "test.bof")
+    with pytest.raises(ModelError, match=r"not as expected: levels/hidden must be"):
+        models.load(tmp_path / "test.bof")
 
 
 def test_a_loaded_model_saves_to_the_same_bytes(file, tmp_path):
@@ -210,3 +249,12 @@ def test_the_default_model_knows_synthetic_rooms_only():
     assert model.vocabulary.words_.shape == (model.vocabulary.n_words, 180)
     assert model.scenes is not None
     assert len(model.scenes.classes_) >= 4
+
+
+def test_the_default_model_tells_rooms_it_has_not_seen():
+    labeller = models.load_default().labeller()
+    views = [(kind, f) for kind in ("bathroom", "corridor") for f in training_views(kind, 590, 3)]
+    together = {kind: np.zeros(len(ROOM_KINDS)) for kind, _ in views}
+    for kind, frame in views:
+        together[kind] += np.log(labeller.label(frame).probabilities)
+    assert [ROOM_KINDS[total.argmax()] for total in together.values()] == list(together)
