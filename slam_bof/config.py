@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
 from pydantic import Field, ValidationError, field_validator
@@ -50,6 +50,8 @@ PORTS_OF_KEYS = {
 
 class PluginChoice(Params):
     """A plug-in by name, with its options; a bare name will do in YAML."""
+
+    given_whole: ClassVar[bool] = True  # options of one plug-in are none of another's
 
     name: str
     options: dict[str, Any] = Field(default_factory=dict)

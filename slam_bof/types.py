@@ -7,11 +7,11 @@ frames are x right, y down, z forward. Metres, radians and seconds.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, model_validator
 
 __all__ = [
     "Array",
@@ -42,6 +42,28 @@ class Params(BaseModel):
     """Base of every part's parameters: frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+    given_whole: ClassVar[bool] = False
+    """Whether, as a part of others, it is never completed by their defaults."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _keep_the_defaults_of_parts(cls, given: Any) -> Any:
+        """Complete a part given by some of its keys with what the others are by default *here*.
+
+        Alignment has other defaults in tracking than in verification; a file that sets one
+        number of either must not change the rest.
+        """
+        if not isinstance(given, dict):
+            return given
+        parts = {
+            name: {**field.default.model_dump(), **given[name]}
+            for name, field in cls.model_fields.items()
+            if isinstance(given.get(name), dict)
+            and isinstance(field.default, Params)
+            and not field.default.given_whole
+        }
+        return {**given, **parts}
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from slam_bof import config
+from slam_bof.alignment import AlignmentParams
 from slam_bof.config import Config, PluginChoice
 from slam_bof.errors import ConfigError, PluginError
 
@@ -133,6 +134,23 @@ def test_complete_looks_into_options() -> None:
 def test_configurations_cannot_be_changed() -> None:
     with pytest.raises(ValueError, match="frozen"):
         Config().seed = 3  # type: ignore[misc]
+
+
+def test_parts_given_in_part_keep_the_defaults_of_their_place(tmp_path: Path) -> None:
+    file = tmp_path / "some.yaml"
+    file.write_text(
+        "tracking: {alignment: {n_iterations: 5}}\n"
+        "loops: {recogniser: {alignment: {n_rounds: 2}}}\n"
+        "verifier: {name: projective, options: {alignment: {n_iterations: 9}}}\n"
+    )
+    given, usual = config.complete(config.load(file)), config.complete(config.preset("indoor"))
+    tracking = usual.tracking.alignment.model_copy(update={"n_iterations": 5})
+    assert tracking.n_points != AlignmentParams().n_points
+    assert given.tracking.alignment == tracking
+    recogniser = usual.loops.recogniser.alignment.model_copy(update={"n_rounds": 2})
+    assert given.loops.recogniser.alignment == recogniser
+    found, expected = given.verifier.options, usual.verifier.options
+    assert found == {**expected, "alignment": {**expected["alignment"], "n_iterations": 9}}
 
 
 def test_a_data_set_takes_options() -> None:

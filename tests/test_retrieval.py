@@ -82,7 +82,7 @@ def refusal(*arguments):
 
 
 def test_bad_input_is_one_line(twice_round, tmp_path):
-    assert "no descriptors plug-in 'surf'; installed: bof, ferns" in refusal(
+    assert "no descriptors plug-in 'surf'; installed: bof, bof-layers, f" in refusal(
         twice_round, "--descriptors", "surf"
     )
     few = refusal(twice_round, "--descriptors", "bof", "--train", twice_round, "--words", 100000)

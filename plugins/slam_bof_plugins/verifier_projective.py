@@ -24,7 +24,7 @@ class ProjectiveParams(JudgementParams):
     """What two views of the same surfaces must have in common."""
 
     alignment: AlignmentParams = AlignmentParams(
-        n_points=3000, n_iterations=15, gates_m=(0.3, 0.03)
+        n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_last_iterations=4
     )
     max_blocking: float = Field(0.15, ge=0, le=1, description="before what the other sees")
 
