@@ -20,7 +20,7 @@ _ROWS = """
     scenes keyframes loops covisibility parts consistency joining verification model
     schema rows store queries
     registry config slam minislam mapping
-    evaluation recognition metrics synthetic training bench retrieval
+    evaluation recognition metrics synthetic testing training bench retrieval
     figures matrices page misses report runs run cli
 """
 ORDER = _ROWS.split()
