@@ -12,7 +12,7 @@ from types import ModuleType
 
 from threadpoolctl import ThreadpoolController
 
-__all__ = ["import_open3d", "one_blas_thread"]
+__all__ = ["import_open3d", "one_blas_thread", "one_cpu", "silenced"]
 
 
 @functools.cache
@@ -27,7 +27,7 @@ def import_open3d() -> ModuleType:
         import libusb_package
 
         ctypes.CDLL(str(libusb_package.get_library_path()), mode=ctypes.RTLD_GLOBAL)
-    with _one_cpu():
+    with one_cpu():
         import open3d
 
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
@@ -52,7 +52,7 @@ def _blas() -> ThreadpoolController:
 
 
 @contextmanager
-def _one_cpu() -> Iterator[None]:
+def one_cpu() -> Iterator[None]:
     """Show one CPU to what is imported: TBB counts them once, and has no other switch here."""
     if not hasattr(os, "sched_setaffinity"):
         yield
@@ -63,3 +63,22 @@ def _one_cpu() -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, cpus)
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Let what native code prints on the standard output go nowhere.
+
+    The stream is the whole process's: what other threads print meanwhile is lost as well.
+    """
+    libc = ctypes.CDLL(None)
+    libc.fflush(None)
+    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    try:
+        yield
+    finally:
+        libc.fflush(None)  # what it has buffered still goes nowhere
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(nowhere)

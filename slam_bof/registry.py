@@ -6,12 +6,17 @@ by the same door as anybody's. Only the one that is named is imported.
 
 from __future__ import annotations
 
+import ast
+import importlib.util
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
 
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 from pydantic import ValidationError
 
 from slam_bof.errors import ConfigError, DatasetError, PluginError
@@ -27,6 +32,7 @@ __all__ = [
     "check_options",
     "listing",
     "load",
+    "missing",
     "names",
     "open_dataset",
     "recognise_dataset",
@@ -107,11 +113,47 @@ def load(port: str, name: str) -> Any:
             "",
             entry.module.split(".")[0],
         ):
-            package = PIP_NAMES.get(library, library.replace("_", "-"))
-            reason = f"needs {library}, which is not installed; try: pip install {package}"
+            reason = _remedy(entry, library)
         else:
             reason = f"cannot be loaded: {' '.join(str(error).split())}"
         raise PluginError(f"{port} plug-in {name!r} {reason}") from error
+
+
+def missing(item: Listing) -> str:
+    """Return which library a plug-in lacks and how to get it, empty if none; imports nothing.
+
+    It looks for what the plug-in's module imports, wherever that stands in it.
+    """
+    entry = _found(item.port)[item.name]
+    package = entry.module.split(".")[0]
+    try:
+        spec = importlib.util.find_spec(entry.module)
+        source = Path(spec.origin).read_bytes() if spec and spec.origin else b""
+        tree = ast.parse(source)
+    except (ImportError, OSError, SyntaxError, ValueError) as error:
+        return f"cannot be loaded: {' '.join(str(error).split())}"
+    if spec is None:
+        return f"cannot be loaded: no module {entry.module}"
+    for node in ast.walk(tree):
+        modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            modules = [node.module]
+        for library in sorted({module.split(".")[0] for module in modules} - {package}):
+            if importlib.util.find_spec(library) is None:
+                return _remedy(entry, library)
+    return ""
+
+
+def _remedy(entry: EntryPoint, library: str) -> str:
+    """Say how to install a library: by the extra that its package has for that, if there is one."""
+    package = PIP_NAMES.get(library, library.replace("_", "-"))
+    command = f"pip install {package}"
+    for text in (entry.dist.requires if entry.dist else None) or []:
+        requirement = Requirement(text)
+        extra = re.search(r"extra == ['\"]([^'\"]+)", str(requirement.marker or ""))
+        if extra and extra[1] != "dev" and canonicalize_name(requirement.name) == package.lower():
+            command = f'pip install "{entry.dist.name}[{extra[1]}]"' if entry.dist else command
+    return f"needs {library}, which is not installed; try: {command}"
 
 
 def check_options(port: str, name: str, options: Mapping[str, Any] | None = None) -> Params | None:

@@ -23,7 +23,7 @@ _ROWS = """
     schema rows store queries
     download_catalogue download_http download_archive download recording realsense
     registry labelled config slam minislam mapping
-    evaluation recognition metrics synthetic training bench retrieval
+    evaluation recognition metrics synthetic testing training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
     scene_training
     figures scene_figures matrices page misses scene_page report runs run cli

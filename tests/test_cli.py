@@ -199,7 +199,7 @@ def test_version() -> None:
 def test_plugins_lists_all_and_checks_on_demand() -> None:
     listed = json.loads(slam_bof("plugins", "--json").stdout)
     assert {"kiss-icp", "7scenes", "gtsam", "open3d"} <= {item["name"] for item in listed}
-    assert {item["state"] for item in listed} == {"not checked"}
+    assert {item["state"] for item in listed} == {"installed"}
     result = slam_bof("plugins", "--check", "--json")
     assert result.exit_code == 0
     assert {item["state"] for item in json.loads(result.stdout)} == {"ok"}
@@ -279,7 +279,7 @@ def test_sequences_that_are_none(tmp_path: Path, room: Path) -> None:
         (["--config", "indor"], "no preset 'indor'; did you mean 'indoor'?"),
         (["--config", "none.yaml"], "none.yaml: no such file"),
         (["--set", "loops.topk=3"], "unknown key 'loops.topk'; did you mean 'top_k'?"),
-        (["--set", "odometry=magic"], "no odometry plug-in 'magic'; installed: kiss-icp"),
+        (["--set", "odometry=magic"], "no odometry plug-in 'magic'; installed: genz-icp, kiss-icp"),
         (["--set", "verifier=magic"], "no verifiers plug-in 'magic'"),
         (["--set", "odometry.options.voxel_m=1"], "unknown key 'voxel_m'"),
         (["--set", "backend.options.cauchy=-1"], "key 'cauchy': found -1"),

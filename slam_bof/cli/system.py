@@ -18,27 +18,32 @@ def plugins(
     ] = False,
     as_json: JSON = False,
 ) -> None:
-    """List the installed plug-ins; exit code 1 if one of those checked does not load."""
+    """List the installed plug-ins, and which optional libraries they lack.
+
+    Exit code 1 if one that lacks nothing does not load when checked.
+    """
     from slam_bof import registry
     from slam_bof.cli.console import print_json, print_table
     from slam_bof.errors import PluginError
 
-    found = []
+    found, broken = [], False
     for item in registry.listing():
-        state = "not checked"
-        if check:
+        lacks = registry.missing(item)
+        state = lacks or "installed"
+        if check and not lacks.startswith("needs"):
             try:
                 registry.load(item.port, item.name)
                 state = "ok"
             except PluginError as error:
                 state = str(error)
+                broken = True
         found.append({**asdict(item), "state": state})
     if as_json:
         print_json(found)
     else:
         columns = ("port", "name", "target", "distribution", "version", "state")
         print_table(columns, [[row[column] for column in columns] for row in found])
-    if any(row["state"] not in ("ok", "not checked") for row in found):
+    if broken:
         raise typer.Exit(1)
 
 

@@ -3,52 +3,16 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
-from slam_bof import ports, registry, se3
+from slam_bof import registry, se3
 from slam_bof.places import PlaceParams, descriptors
 from slam_bof.types import DepthFrame
 
 FRAME = DepthFrame(0.0, box_room_depth_mm(CAMERA, np.eye(4)), CAMERA)
 
 
-LOCAL = ["bof", "orb", "sift"]
-GLOBAL = ["bof-layers", "ferns", "gist", "gist-depth", "occupancy", "thumbnail"]
-
-
-@pytest.fixture(params=LOCAL + GLOBAL)
-def descriptor(request):
-    return registry.build("descriptors", request.param)
-
-
 def speckle(seed):
     noise = np.random.default_rng(seed).integers(0, 256, (60, 80)).astype(np.uint8)
     return cv2.resize(noise, (320, 240), interpolation=cv2.INTER_CUBIC)
-
-
-def test_contract(descriptor):
-    assert isinstance(descriptor, ports.Descriptor)
-    found = descriptor.describe(FRAME, speckle(0))
-    assert found.ndim == 2
-    assert len(found) > 0
-    assert descriptor.comparison in ("bag", "cosine", "l1", "equal")
-    if descriptor.comparison != "bag":
-        assert len(found) == 1
-    np.testing.assert_array_equal(found, descriptor.describe(FRAME, speckle(0)))
-
-
-def test_nothing_seen_gives_no_descriptors(descriptor):
-    blind = DepthFrame(0.0, np.zeros_like(FRAME.depth), CAMERA)
-    nothing = descriptor.describe(blind, np.zeros((240, 320), np.uint8))
-    n_values = descriptor.describe(FRAME, speckle(0)).shape[1]
-    assert nothing.shape == (0 if descriptor.comparison == "bag" else 1, n_values)
-    assert np.isfinite(nothing).all()
-
-
-def test_gray_is_asked_for_where_it_is_needed(descriptor):
-    if descriptor.needs_gray:
-        with pytest.raises(ValueError, match="a grey image is needed, got none"):
-            descriptor.describe(FRAME, None)
-    else:
-        assert len(descriptor.describe(FRAME, None)) > 0
 
 
 def test_options_reach_the_descriptor():

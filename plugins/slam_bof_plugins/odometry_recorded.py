@@ -1,0 +1,193 @@
+"""The poses of somebody else's system, from a file: TUM, KITTI or .npy."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.errors import DatasetError
+from slam_bof.trajectory import read_kitti, read_tum
+from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
+
+__all__ = ["AXES", "RecordedOdometry", "RecordedParams"]
+
+logger = logging.getLogger(__name__)
+
+AXES: dict[str, Array] = {
+    "camera": np.eye(3),
+    "ros": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
+    "opengl": np.diag([1.0, -1.0, -1.0]),
+}
+"""``R_recorded_camera`` (3, 3) of each convention: ``camera`` x right, y down, z forward; ``ros``
+(base_link, REP-103) x forward, y left, z up; ``opengl`` x right, y up, z back."""
+
+EDGE_S = 0.02
+"""So far before the first pose and after the last, that pose still holds: stamps are rounded."""
+MAX_WAIT_S = 60.0
+"""A recording that begins later than this after the first frame is by another clock."""
+
+
+class RecordedParams(Params):
+    """Which poses, and how they fit the frames."""
+
+    file: Path = Field(description="of TUM lines, KITTI lines or a NumPy array")
+    format: Literal["auto", "tum", "kitti", "npy"] = Field(
+        "auto", description="auto: .npy by its name, else by the numbers in a line"
+    )
+    convention: Literal["camera", "ros", "opengl"] = Field(
+        "camera", description="the axes of what moves: camera: z forward, y down; ros: x forward, "
+        "z up; opengl: z back, y up"
+    )  # fmt: skip
+    world_to_camera: bool = Field(False, description="the file has the inverse poses")
+    offset_s: float = Field(0.0, description="added to the recorded stamps")
+    max_gap_s: float = Field(0.25, gt=0, description="poses farther apart are not interpolated")
+
+
+class RecordedOdometry:
+    """Plays back a trajectory.
+
+    Poses are matched with frames by time and interpolated on the geodesic between two of them.
+    A file without stamps (KITTI; .npy of (N, 4, 4), (N, 3, 4) or (N, 12)) is matched by number:
+    the first frame has the first pose. The first frame that has a pose is the identity, so that
+    poses are relative to it, as of any odometry.
+
+    A frame without a pose (before or after the recording, or in a gap) repeats the last one;
+    the next that has one is where the recording has it. ``LoopCloser`` tracks such frames by
+    what they see, or calls them lost.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read, or by its stamps has nothing to do with the first frame.
+    """
+
+    Params = RecordedParams
+
+    def __init__(self, params: RecordedParams) -> None:
+        self.params = params
+        recorded, self._has_stamps = _read(params)
+        known = np.isfinite(recorded.poses).all(axis=(1, 2))
+        if not known.any():
+            raise DatasetError(f"{params.file}: found no pose, expected at least one")
+        T = recorded.poses[known]
+        T[:, :3, :3] = [se3.nearest_rotation(R) for R in T[:, :3, :3]]
+        if params.world_to_camera:
+            T = se3.inverse(T)
+        self._T_world_camera = T @ se3.pose(AXES[params.convention], np.zeros(3))
+        self._stamps_s = recorded.stamps_s[known]
+        if self._has_stamps:
+            self._stamps_s = self._stamps_s + params.offset_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin anew: the next frame is a first one, and the identity."""
+        self._n_frames = 0
+        self._T_first_world: Pose | None = None
+        self._T_odom_camera = np.eye(4)
+        self._holds = False
+
+    def process(self, frame: DepthFrame) -> Pose:
+        """Return the recorded ``T_odom_camera`` (4, 4) at the frame's time, whatever it shows."""
+        stamp_s = frame.stamp_s if self._has_stamps else float(self._n_frames)
+        if self._n_frames == 0:
+            self._check_clock(stamp_s)
+        self._n_frames += 1
+        T_world_camera = self._at(stamp_s)
+        if (T_world_camera is None) != self._holds:
+            self._holds = T_world_camera is None
+            logger.warning("%.3f s: recorded poses %s", stamp_s, "end" if self._holds else "go on")
+        if T_world_camera is not None:
+            if self._T_first_world is None:
+                self._T_first_world = se3.inverse(T_world_camera)
+            self._T_odom_camera = self._T_first_world @ T_world_camera
+        return self._T_odom_camera.copy()
+
+    def _at(self, stamp_s: float) -> Pose | None:
+        """Return ``T_world_camera`` at a time, if it is recorded."""
+        after = int(np.searchsorted(self._stamps_s, stamp_s))
+        for near in (after, after - 1):
+            if 0 <= near < len(self._stamps_s) and self._stamps_s[near] == stamp_s:
+                found: Pose = self._T_world_camera[near]
+                return found
+        if after in (0, len(self._stamps_s)):
+            nearest = min(after, len(self._stamps_s) - 1)
+            apart_s = abs(float(self._stamps_s[nearest]) - stamp_s)
+            found = self._T_world_camera[nearest]
+            return found if apart_s <= EDGE_S else None
+        before_s, after_s = self._stamps_s[after - 1 : after + 1]
+        if not self._has_stamps or after_s - before_s > self.params.max_gap_s:
+            return None
+        return se3.interpolate(
+            self._T_world_camera[after - 1],
+            self._T_world_camera[after],
+            float((stamp_s - before_s) / (after_s - before_s)),
+        )
+
+    def _check_clock(self, stamp_s: float) -> None:
+        first_s, last_s = float(self._stamps_s[0]), float(self._stamps_s[-1])
+        if self._has_stamps and not first_s - MAX_WAIT_S <= stamp_s <= last_s + EDGE_S:
+            raise DatasetError(
+                f"{self.params.file}: found poses from {first_s:.3f} to {last_s:.3f} s, expected "
+                f"some at the first frame, {stamp_s:.3f} s; offset_s shifts them"
+            )
+
+
+def _read(params: RecordedParams) -> tuple[Trajectory, bool]:
+    """Return the trajectory of the file, and whether it has stamps or counts."""
+    kind = params.format
+    if kind == "auto":
+        kind = "npy" if params.file.suffix == ".npy" else _text_format(params.file)
+    if kind == "tum":
+        return read_tum(params.file), True
+    return (read_kitti(params.file), False) if kind == "kitti" else _read_npy(params.file)
+
+
+def _text_format(file: Path) -> Literal["tum", "kitti"]:
+    """Tell TUM from KITTI by the first line that has numbers; what is neither, TUM's will name."""
+    try:
+        with file.open(encoding="utf-8", errors="replace") as lines:
+            for line in lines:
+                if line.strip() and not line.lstrip().startswith("#"):
+                    return "kitti" if len(line.split()) == 12 else "tum"
+    except OSError:
+        pass  # read_tum says so
+    return "tum"
+
+
+def _read_npy(file: Path) -> tuple[Trajectory, bool]:
+    """Read (N, 8) rows as TUM has them, or poses (N, 4, 4), (N, 3, 4) or (N, 12)."""
+    try:
+        found = np.load(file, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        reason = " ".join(str(getattr(error, "strerror", None) or error).split())
+        raise DatasetError(f"{file}: cannot be read ({reason}), expected a NumPy array") from None
+    shape = np.shape(found)
+    if len(shape) == 2 and shape[1] == 8 and found.dtype.kind in "fiu":
+        table = found.astype(np.float64)
+        norms = np.linalg.norm(table[:, 4:], axis=1)
+        if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
+            raise DatasetError(f"{file}: expected finite rows with growing stamps")
+        if (np.abs(norms - 1.0) > se3.TOLERANCE).any():
+            worst = norms[np.abs(norms - 1.0).argmax()]
+            raise DatasetError(f"{file}: found a quaternion of norm {worst:.6g}, expected 1")
+        return Trajectory(table[:, 0], se3.from_quaternion(table[:, 4:], table[:, 1:4])), True
+    if shape[1:] not in ((4, 4), (3, 4), (12,)) or found.dtype.kind not in "fiu":
+        raise DatasetError(
+            f"{file}: found an array {shape} of {found.dtype}, expected numbers (N, 8) as in TUM's "
+            "format, or poses (N, 4, 4), (N, 3, 4) or (N, 12)"
+        )
+    poses = np.tile(np.eye(4), (shape[0], 1, 1))
+    poses[:, :3] = found.reshape(-1, int(np.prod(shape[1:])))[:, :12].reshape(-1, 3, 4)
+    for number, T in enumerate(poses):
+        try:
+            if not np.isnan(T).any():
+                se3.check_rigid(T)
+        except ValueError as error:
+            raise DatasetError(f"{file}, pose {number}: {error}") from None
+    poses[np.isnan(poses).any(axis=(1, 2))] = np.nan
+    return Trajectory(np.arange(shape[0], dtype=np.float64), poses), False
