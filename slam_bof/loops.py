@@ -10,7 +10,7 @@ is above the upper threshold is accepted already, and goes there for its relativ
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, Protocol
 
@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
+from slam_bof import se3
 from slam_bof.index import InvertedIndex
 from slam_bof.recogniser import Compare, PlaceRecogniser, RecogniserParams
-from slam_bof.types import Candidate, DepthFrame, Keyframe, Params, Pose, Scene
+from slam_bof.types import Candidate, DepthFrame, Keyframe, Loop, Params, Pose, Scene
 
 __all__ = ["Found", "LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
 
@@ -145,12 +146,20 @@ class LoopDetector:
         self._keyframes.append(keyframe)
         return replace(found, candidates=checked)
 
-    def set_aside(self) -> None:
-        """Find others rather than the last keyframe from now on: it shows what an older one does.
+    def note(self, loops: Sequence[Loop]) -> None:
+        """Take note of accepted loops: where an older keyframe stands, the last is not searched for.
 
         By bags all are found, as the paper has it.
         """
-        self._ranking.set_aside()
+        p, newest = self.params, self._keyframes[-1].id
+        if any(
+            loop.query_id == newest
+            and loop.kind == "loop"
+            and np.linalg.norm(loop.T_match_query[:3, 3]) <= p.repeat_m
+            and se3.rotation_angle(loop.T_match_query) <= p.repeat_rad
+            for loop in loops
+        ):
+            self._ranking.set_aside()
 
     def _check(self, keyframe: Keyframe, candidate: Candidate) -> Candidate:
         """Measure semantic agreement and time consistency, and reject what fails."""

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from slam_bof import model as models
 from slam_bof import registry, se3
+from slam_bof.clouds import CloudCamera
 from slam_bof.config import Config, load, preset
 from slam_bof.covisibility import CovisibilityParams, choose_covisible, view_overlap
 from slam_bof.keyframes import KeyframeSelector
@@ -88,6 +89,8 @@ class LoopCloser:
         self._added: list[Loop] = []
         self._parts = MapParts()
         self._camera: Intrinsics | None = None
+        self._cloud_camera = CloudCamera(gravity_odom)
+        self._T_view_camera: dict[int, Pose] = {}
         self._stamps_s: list[float] = []
         self._T_odom_camera: list[Pose] = []
         self._segments: list[int] = []
@@ -177,6 +180,37 @@ class LoopCloser:
         T_map_camera = self._T_map_track @ track.T_odom_camera
         return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
 
+    def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
+        """Take a point cloud where there is no depth image; answer as ``process`` does.
+
+        Of a depth camera's cloud its image is made again. One from all around, as a LiDAR makes
+        it, is looked at in one direction of the odometry's frame: the first sensor's forward.
+        ``step.keyframe`` and ``step.loops`` are of that view. The first cloud of 100 points or
+        more tells which kind of sensor it is; see ``clouds``.
+
+        Parameters
+        ----------
+        stamp_s
+            Time in seconds, on any clock that grows.
+        points_camera
+            (N, 3) in metres, x right, y down, z forward; what is not finite is dropped.
+        T_odom_camera
+            (4, 4) the sensor's pose.
+
+        Raises
+        ------
+        ValueError
+            As ``process``, or if the points are not (N, 3).
+        """
+        T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
+        is_settled = self._camera is not None
+        frame, T_camera_view = self._cloud_camera.look(stamp_s, points_camera, T_odom_camera)
+        step = self.process(frame, T_odom_camera @ T_camera_view)
+        self._T_view_camera[len(self._stamps_s) - 1] = se3.inverse(T_camera_view)
+        if not is_settled and not frame.depth.any():
+            self._camera = None  # nothing seen: whatever camera comes next is the first
+        return step
+
     def finish(self) -> Trajectory:
         """Optimise the whole graph; return ``T_map_camera`` of every frame processed.
 
@@ -190,8 +224,11 @@ class LoopCloser:
                 self.loops_left_out = list(itertools.compress(self._added, ~kept))
         stamps_s = np.array(self._stamps_s)
         T_odom_camera = np.array(self._T_odom_camera).reshape(-1, 4, 4)
+        T_view_camera = np.tile(np.eye(4), (len(stamps_s), 1, 1))
+        for frame_index, T in self._T_view_camera.items():
+            T_view_camera[frame_index] = T
         if not self.keyframes:
-            return Trajectory(stamps_s, T_odom_camera)
+            return Trajectory(stamps_s, T_odom_camera @ T_view_camera)
         frame_indices = np.array([k.frame_index for k in self.keyframes])
         poses = spread_correction(
             T_odom_camera,
@@ -200,7 +237,7 @@ class LoopCloser:
             self.backend.poses(),
             np.array(self._segments),
         )
-        return Trajectory(stamps_s, poses)
+        return Trajectory(stamps_s, poses @ T_view_camera)
 
     def _begins_segment(self, track: Track) -> bool:
         """Tell whether the track is found anew; the first keyframe begins nothing anew."""
@@ -262,8 +299,7 @@ class LoopCloser:
                 parts=self._parts.of_keyframes(),
                 guesses=found.guesses,
             )
-        if any(loop.query_id == keyframe.id and self._repeats(loop) for loop in loops):
-            self._detector.set_aside()
+        self._detector.note(loops)
         self.loops.extend(loops)
         self._added.extend(loops)
         with self._clock.stage("optimize"):
@@ -273,13 +309,6 @@ class LoopCloser:
             self.backend.update()
             self._T_map_track = self.backend.poses()[-1] @ se3.inverse(T_odom_camera)
         return Step(keyframe, scene, tuple(loops), tuple(candidates), np.eye(4))
-
-    def _repeats(self, loop: Loop) -> bool:
-        """Tell whether an older keyframe stands where this one does."""
-        p, T = self._detector.params, loop.T_match_query
-        return loop.kind == "loop" and bool(
-            np.linalg.norm(T[:3, 3]) <= p.repeat_m and se3.rotation_angle(T) <= p.repeat_rad
-        )
 
     def _join(self, loop: Loop) -> None:
         """Where the loop is between two parts of the map, carry the younger to the older."""
