@@ -147,7 +147,7 @@ class LoopDetector:
         return replace(found, candidates=checked)
 
     def note(self, loops: Sequence[Loop]) -> None:
-        """Take note of accepted loops: where an older keyframe stands, the last is not searched for.
+        """Note accepted loops: where an older keyframe stands, the last is not searched for.
 
         By bags all are found, as the paper has it.
         """
