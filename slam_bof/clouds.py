@@ -125,11 +125,11 @@ def render(points_view: Array, camera: Intrinsics) -> NDArray[np.float32]:
     front = near >= (1.0 - SAME_SURFACE) * inverse[pixel]
     count = np.bincount(pixel[front], minlength=len(inverse))
     total = np.bincount(pixel[front], weights=near[front], minlength=len(inverse))
-    inverse = (total / np.maximum(count, 1)).reshape(camera.height, camera.width)
+    image: Array = (total / np.maximum(count, 1)).reshape(camera.height, camera.width)
     for axis in (1, 0):
-        inverse = _bridge(inverse, axis)
-    depth_m = np.zeros_like(inverse)
-    np.divide(1.0, inverse, out=depth_m, where=inverse > 0)
+        image = _bridge(image, axis)
+    depth_m = np.zeros_like(image)
+    np.divide(1.0, image, out=depth_m, where=image > 0)
     return depth_m.astype(np.float32)
 
 

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
-    gravity clouds views viewstack spectra panorama slices alignment recogniser tracking
+    gravity clouds live views viewstack spectra panorama slices alignment recogniser tracking
     scenes keyframes loops covisibility parts consistency joining verification model
     schema rows store queries
     registry config slam minislam mapping
