@@ -28,13 +28,13 @@ MARGIN = 1.02
 QUANTILE = 0.995
 """A few points beyond do not make the view wider."""
 POINTS_PER_PIXEL = 1.5
-MIN_WIDTH_PX, MAX_WIDTH_PX = 80, 320
+MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 320
 MIN_POINTS = 100
 """Fewer do not tell what the sensor sees."""
 NEAR_M = 0.05
 SAME_SURFACE = 0.1
 """Depths that differ by less, as a share, are of one surface: points of a pixel, ends of a gap."""
-MAX_GAP_PX = 4
+MAX_GAP_PX = 6
 """The widest hole between points of one surface that is closed: a LiDAR's rings are apart."""
 
 

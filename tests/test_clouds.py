@@ -70,7 +70,7 @@ def test_a_cloud_of_a_depth_camera_is_seen_from_where_it_was_taken():
 
 
 def test_one_from_all_around_is_seen_the_same_way_however_the_sensor_turns():
-    cloud = sphere(20000) + np.array([0.5, 0.2, -0.3])
+    cloud = sphere(60000) + np.array([0.5, 0.2, -0.3])
     camera = CloudCamera()
     first = camera.look(0.0, cloud, np.eye(4))
     turned = se3.exp(np.array([0.2, 2.5, -0.1, 0.0, 0.0, 0.0]))
