@@ -59,6 +59,15 @@ class CloudCamera:
         self._intrinsics: Intrinsics | None = None
         self._is_around = False
 
+    @property
+    def is_around(self) -> bool | None:
+        """Whether the sensor looks all around; None before the first cloud has told."""
+        return None if self._intrinsics is None else self._is_around
+
+    def restore(self, intrinsics: Intrinsics, is_around: bool) -> None:
+        """Go on with the camera that earlier clouds were seen through."""
+        self._intrinsics, self._is_around = intrinsics, is_around
+
     def look(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Seen:
         """Return the view of a cloud.
 

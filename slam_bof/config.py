@@ -29,6 +29,7 @@ __all__ = [
     "dump",
     "load",
     "override",
+    "parse",
     "preset",
     "presets",
     "resolve",
@@ -101,15 +102,24 @@ def load(path: Path | str) -> Config:
     """
     path = Path(path)
     try:
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file, expected a YAML configuration") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, yaml.YAMLError) as error:
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: not a YAML file: {error}") from error
+    return parse(text, str(path))
+
+
+def parse(text: str, where: str) -> Config:
+    """Return the configuration that YAML text has; ``where`` names it in a ``ConfigError``."""
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
-        raise ConfigError(f"{path}: not a YAML file: {reason}") from error
-    return _validate({} if values is None else values, str(path))
+        raise ConfigError(f"{where}: not a YAML file: {reason}") from error
+    return _validate({} if values is None else values, where)
 
 
 def presets() -> list[str]:

@@ -45,6 +45,10 @@ class KeyframeSelector:
             self._frame_index, self._T_odom_camera = frame_index, T_odom_camera
         return chosen
 
+    def restore(self, frame_index: int, T_odom_camera: Pose) -> None:
+        """Go on from a frame that was chosen."""
+        self._frame_index, self._T_odom_camera = frame_index, T_odom_camera
+
     def reset(self) -> None:
         """Forget everything: the next frame is a first one."""
         self._T_odom_camera = None

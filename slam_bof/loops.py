@@ -10,56 +10,19 @@ is above the upper threshold is accepted already, and goes there for its relativ
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from numpy.typing import ArrayLike
 
 from slam_bof import se3
-from slam_bof.index import InvertedIndex
-from slam_bof.recogniser import Compare, PlaceRecogniser, RecogniserParams
-from slam_bof.types import Candidate, DepthFrame, Keyframe, Loop, Params, Pose, Scene
+from slam_bof.rankings import BagRanking, Found, LoopParams, Ranking, ViewRanking
+from slam_bof.recogniser import Compare, PlaceRecogniser
+from slam_bof.types import Candidate, DepthFrame, Keyframe, Loop, Scene
 
-__all__ = ["Found", "LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
-
-
-class LoopParams(Params):
-    """The parameters of Table 10, and what the product adds to them."""
-
-    by: Literal["views", "bags"] = "views"
-    upper_threshold: float | None = Field(
-        None, ge=0, description="bags: eta above it: accepted unverified; null: all are verified"
-    )
-    lower_threshold: float = Field(0.4, ge=0, description="bags: eta below it: discarded")
-    normaliser_lag_s: float = Field(1.0, gt=0, description="bags: N, or tau, as a time")
-    min_normaliser: float = Field(0.05, ge=0, description="bags: below it not judged")
-    min_seen: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
-    recogniser: RecogniserParams = RecogniserParams()
-    repeat_m: float = Field(0.2, ge=0, description="views: who has a loop to nearer than this")
-    repeat_rad: float = Field(0.2, ge=0, description="and turned by less is not searched for")
-    tc: int = Field(3, ge=0, description="keyframes that the time consistency check runs over")
-    tc_required: int = Field(1, ge=0, description="of which so many must agree")
-    max_index_difference: int = Field(3, ge=0, description="keyframes apart that still agree")
-    top_k: int = Field(3, gt=0, description="candidates a keyframe; 1 in the paper")
-    min_age_s: float = Field(3.0, ge=0, description="younger keyframes are not loops")
-    min_scene_agreement: float = Field(0.2, ge=0, le=1, description="below it labels contradict")
-
-
-@dataclass(frozen=True, slots=True)
-class Found:
-    """The candidates of a keyframe, best first, and where recognition has the views already.
-
-    Candidates that fail a check have ``decision`` "rejected" and the reason; those still open
-    (``decision`` empty) are for geometric verification, and those above the upper threshold
-    ("accepted") for their relative pose. ``guesses`` has ``T_match_query`` by ``match_id``, of
-    those that were aligned.
-    """
-
-    candidates: list[Candidate] = field(default_factory=list)
-    guesses: Mapping[int, Pose] = field(default_factory=dict)
+__all__ = ["LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
 
 
 @dataclass(slots=True)
@@ -121,30 +84,53 @@ class LoopDetector:
         self.params = params
         self.counts = LoopCounts()
         self.compare: Compare | None = None
-        self._ranking: _Ranking
+        self._ranking: Ranking
         if params.by == "bags":
-            self._ranking = _Bags(params, n_words)
+            self._ranking = BagRanking(params, n_words)
         else:
             recogniser = PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom, seed=seed)
             self.compare = recogniser.agreement
-            self._ranking = _Views(params, recogniser)
+            self._ranking = ViewRanking(params, recogniser)
         self._keyframes: list[Keyframe] = []
         self._maxima: list[tuple[int, ...]] = []
 
     def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
         """Return the keyframe's candidates, and remember the keyframe."""
-        stamps_s = [k.stamp_s for k in self._keyframes]
-        n_old = np.searchsorted(stamps_s, keyframe.stamp_s - self.params.min_age_s, side="right")
         # What was seen before odometry was lost is a place to be found again, however young.
-        segments = [k.segment for k in self._keyframes]
-        n_old = max(n_old, np.searchsorted(segments, keyframe.segment))
-        found = self._ranking.rank(keyframe, frame, self._keyframes[: int(n_old)])
+        n_old = int(np.searchsorted([k.segment for k in self._keyframes], keyframe.segment))
+        stamps_s = [k.stamp_s for k in self._keyframes[n_old:]]
+        n_old += int(
+            np.searchsorted(stamps_s, keyframe.stamp_s - self.params.min_age_s, side="right")
+        )
+        found = self._ranking.rank(keyframe, frame, self._keyframes[:n_old])
         checked = [self._check(keyframe, candidate) for candidate in found.candidates]
         if n_old:
             self._count(found.candidates, checked)
         self._maxima.append(tuple(c.match_id for c in checked))
         self._keyframes.append(keyframe)
         return replace(found, candidates=checked)
+
+    def remember(
+        self, keyframe: Keyframe, frame: DepthFrame, candidates: Sequence[Candidate]
+    ) -> None:
+        """Take a keyframe of a saved map, whose candidates were found when it was made."""
+        self._ranking.remember(keyframe, frame)
+        self._maxima.append(tuple(c.match_id for c in candidates if c.source != "proximity"))
+        self._keyframes.append(keyframe)
+
+    def begin_session(self, gravity_odom: ArrayLike) -> None:
+        """Expect keyframes of another odometry, down in whose frame is ``gravity_odom`` (3,)."""
+        self.counts = LoopCounts()
+        self._ranking.begin_session(gravity_odom)
+
+    def state(self) -> dict[str, Any]:
+        """Return what keyframes and candidates do not tell, as JSON has it."""
+        return {"counts": asdict(self.counts), "ranking": self._ranking.state()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a state, with the keyframes remembered that it was of."""
+        self.counts = LoopCounts(**state["counts"])
+        self._ranking.restore(state["ranking"])
 
     def note(self, loops: Sequence[Loop]) -> None:
         """Note accepted loops: where an older keyframe stands, the last is not searched for.
@@ -222,99 +208,6 @@ class LoopDetector:
             any(abs(other - match_id) <= p.max_index_difference for other in maxima)
             for maxima in recent
         )
-
-
-class _Ranking(Protocol):
-    """A way to find what looks alike."""
-
-    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
-        """Return the best of the older keyframes, and remember this one."""
-
-    def set_aside(self) -> None:
-        """Find others rather than the one ranked last."""
-
-
-class _Bags:
-    """The paper's: the maxima of eta."""
-
-    def __init__(self, params: LoopParams, n_words: int) -> None:
-        self._params = params
-        self._index = InvertedIndex(n_words)
-        self._stamps_s: list[float] = []
-
-    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
-        """Return up to ``top_k`` maxima of eta, no two within ``max_index_difference``."""
-        p = self._params
-        scores = self._index.scores(keyframe.bag)
-        self._index.add(keyframe.bag)
-        found = Found()
-        if older:
-            lag = np.abs(np.array(self._stamps_s) - (keyframe.stamp_s - p.normaliser_lag_s))
-            normaliser = float(scores[lag.argmin()])
-            for best in _maxima(scores[: len(older)], p):
-                score = float(scores[best])
-                eta = score / normaliser if normaliser > 0.0 else np.inf
-                candidate = Candidate(
-                    keyframe.id, best, "bag", score=score, normaliser=normaliser, eta=eta
-                )
-                found.candidates.append(self._judge(candidate))
-        self._stamps_s.append(keyframe.stamp_s)
-        return found
-
-    def set_aside(self) -> None:
-        """Do nothing: the paper's index holds all."""
-
-    def _judge(self, candidate: Candidate) -> Candidate:
-        p = self._params
-        if candidate.normaliser < p.min_normaliser:
-            reason = f"normaliser {candidate.normaliser:.3f} below {p.min_normaliser:g}: not judged"
-        elif candidate.eta < p.lower_threshold:
-            reason = f"eta {candidate.eta:.3f} below {p.lower_threshold:g}"
-        else:
-            return candidate
-        return replace(candidate, decision="rejected", reason=reason)
-
-
-class _Views:
-    """The recogniser's: the maxima of what it ranks by, after aligning."""
-
-    def __init__(self, params: LoopParams, recogniser: PlaceRecogniser) -> None:
-        self._params = params
-        self._recogniser = recogniser
-
-    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
-        """Return up to ``top_k`` maxima of the score, no two within ``max_index_difference``."""
-        p = self._params
-        view_id = self._recogniser.add(frame, keyframe.T_odom_camera)
-        matches = {m.view_id: m for m in self._recogniser.recognise(view_id, len(older))}
-        scores = np.zeros(len(older))
-        scores[list(matches)] = [m.score for m in matches.values()]
-        candidates = []
-        for best in _maxima(scores, p):
-            match = matches[best]
-            candidate = Candidate(keyframe.id, best, "view", score=match.score)
-            if match.seen < p.min_seen:
-                reason = f"both see {match.seen:.2f} of the other, below {p.min_seen:g}"
-                candidate = replace(candidate, decision="rejected", reason=reason)
-            candidates.append(candidate)
-        return Found(
-            candidates, {c.match_id: matches[c.match_id].T_match_query for c in candidates}
-        )
-
-    def set_aside(self) -> None:
-        self._recogniser.set_aside()
-
-
-def _maxima(scores: NDArray[np.floating], params: LoopParams) -> list[int]:
-    """Return up to ``top_k`` ids of the highest scores above 0, none near one before it."""
-    left = scores.astype(np.float64)
-    chosen: list[int] = []
-    while len(chosen) < params.top_k and len(left) and left.max() > 0.0:
-        best = int(left.argmax())
-        chosen.append(best)
-        apart = params.max_index_difference
-        left[max(0, best - apart) : best + apart + 1] = 0.0
-    return chosen
 
 
 def scene_agreement(a: Scene | None, b: Scene | None) -> float:

@@ -21,7 +21,7 @@ __all__ = ["Metrics", "Usage", "compute_metrics"]
 
 Metrics = dict[str, str | int | float | None]
 
-STAGES = ("read", "odometry", "track", "describe", "query", "verify", "optimize", "total")
+STAGES = ("read", "odometry", "track", "describe", "query", "verify", "optimize", "save", "total")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,10 +60,10 @@ def compute_metrics(
 
     ``candidates`` is the audit trail; ``groundtruth`` has a pose for each frame of the
     sequence, ``true_scenes`` a label for each keyframe, ``smoothed`` what the whole trajectory
-    says of each.
+    says of each. All are of this session, and times are those of this process.
     """
     n_frames = len(result.optimized)
-    loops = [loop for loop in closer.loops if loop.kind == "loop"]
+    loops = [loop for loop in result.loops if loop.kind == "loop"]
     considered = [c for c in candidates if c.kind == "loop"]
     verified = [c for c in considered if not np.isnan(c.rmse_m)]
     seconds = dict(clock.seconds, total=usage.wall_s)
@@ -72,7 +72,8 @@ def compute_metrics(
         "sequence": sequence,
         "n_frames": n_frames,
         "n_frames_skipped": result.n_skipped,
-        "n_keyframes": len(closer.keyframes),
+        "n_frames_resumed": result.n_resumed,
+        "n_keyframes": len(result.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
         "n_frames_lost": closer.n_frames_lost,
         "n_parts": closer.n_parts,
@@ -82,8 +83,9 @@ def compute_metrics(
         "n_loops": len(loops),
         "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),
-        "n_edges_left_out": len(closer.loops_left_out),
-        "n_covisibility_edges": len(closer.loops) - len(loops),
+        "n_loops_across": result.n_loops_across,
+        "n_edges_left_out": len(result.loops_left_out),
+        "n_covisibility_edges": len(result.loops) - len(loops),
         "ate_odometry_m": None,
         "ate_m": None,
         "ate_max_m": None,
@@ -100,15 +102,16 @@ def compute_metrics(
         "wall_s": usage.wall_s,
         "peak_rss_mb": peak_rss_mb(),
         **{f"stage_ms.{name}": 1e3 * seconds.get(name, 0.0) / max(n_frames, 1) for name in STAGES},
-        "descriptor_bytes_per_frame": _descriptor_bytes(closer),
+        "descriptor_bytes_per_frame": _descriptor_bytes(result),
+        "session": closer.session,
         "seed": seed,
         "version": importlib.metadata.version("slam-bof"),
     }
     if groundtruth is not None:
-        metrics |= _against_groundtruth(result, closer, groundtruth)
+        metrics |= _against_groundtruth(result, groundtruth)
     if true_scenes is not None:
         metrics["scene_accuracy"] = evaluation.scene_accuracy(
-            [k.scene.label if k.scene else None for k in closer.keyframes],
+            [k.scene.label if k.scene else None for k in result.keyframes],
             true_scenes,
         )
         metrics["scene_accuracy_smoothed"] = evaluation.scene_accuracy(
@@ -117,15 +120,13 @@ def compute_metrics(
     return metrics
 
 
-def _against_groundtruth(
-    result: SlamResult, closer: LoopCloser, groundtruth: Trajectory
-) -> Metrics:
+def _against_groundtruth(result: SlamResult, groundtruth: Trajectory) -> Metrics:
     reference = Trajectory(groundtruth.stamps_s[result.indices], groundtruth.poses[result.indices])
     ate_odometry = evaluation.ate(result.odometry, reference)
     ate = evaluation.ate(result.optimized, reference)
-    keyframe_indices = [k.frame_index for k in closer.keyframes]
-    loops = [loop for loop in closer.loops if loop.kind == "loop"]
-    edges = [loop for loop in closer.loops if loop.kind == "covisibility"]
+    keyframe_indices = [k.frame_index for k in result.keyframes]
+    loops = [loop for loop in result.loops if loop.kind == "loop"]
+    edges = [loop for loop in result.loops if loop.kind == "covisibility"]
     return {
         "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
         "ate_m": ate.rmse_m if ate else None,
@@ -138,9 +139,9 @@ def _against_groundtruth(
     }
 
 
-def _descriptor_bytes(closer: LoopCloser) -> float:
+def _descriptor_bytes(result: SlamResult) -> float:
     """Return the mean size of a keyframe's bag."""
-    sizes = [k.bag.words.nbytes + k.bag.weights.nbytes for k in closer.keyframes]
+    sizes = [k.bag.words.nbytes + k.bag.weights.nbytes for k in result.keyframes]
     return float(np.mean(sizes)) if sizes else 0.0
 
 

@@ -140,6 +140,24 @@ class PlaceRecogniser:
         self._panoramas.truncate(len(self._searched))
         self._plans.truncate(len(self._searched))
 
+    def begin_session(self, gravity_odom: ArrayLike) -> None:
+        """Expect views of another odometry, down in whose frame is about ``gravity_odom`` (3,)."""
+        self._gravity = GravityTracker(gravity_odom)
+        self._before = (0, [])
+
+    def state(self) -> list[Any]:
+        """Return the matches that are followed, as JSON has them."""
+        view_id, matches = self._before
+        return [view_id, [[match.view_id, match.T_match_query.tolist()] for match in matches]]
+
+    def restore(self, state: list[Any]) -> None:
+        """Follow these matches."""
+        view_id, matches = state
+        self._before = (
+            view_id,
+            [PlaceMatch(match_id, np.nan, np.array(T), np.nan, np.nan) for match_id, T in matches],
+        )
+
     @property
     def nbytes(self) -> int:
         """Bytes of all views remembered."""

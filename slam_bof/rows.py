@@ -7,26 +7,39 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof import se3
 from slam_bof.regions import Region
 from slam_bof.schema import BOX, POSE, SMOOTHED
-from slam_bof.types import Array, Bag, Candidate, Keyframe, Loop, Pose, Scene
+from slam_bof.types import (
+    Bag,
+    Candidate,
+    FramePose,
+    Intrinsics,
+    Keyframe,
+    Loop,
+    Pose,
+    Scene,
+    ThinDepth,
+)
 
 __all__ = [
     "INSERT_CANDIDATE",
+    "INSERT_FRAME",
     "INSERT_KEYFRAME",
-    "INSERT_LOOP",
     "INSERT_REGION",
+    "INSERT_VIEW",
     "candidate_of",
     "candidate_row",
-    "cloud_of",
+    "edge_row",
+    "frame_of",
+    "frame_row",
     "keyframe_of",
     "keyframe_row",
     "loop_of",
-    "loop_row",
     "pose_of",
     "pose_row",
     "region_of",
@@ -34,10 +47,15 @@ __all__ = [
     "scene_of",
     "scene_row",
     "smoothed_of",
+    "thin_of",
+    "view_row",
 ]
 
 Row = Sequence[Any]
 CANDIDATE = tuple(field.name for field in fields(Candidate))
+EDGE = (*POSE, "information", "loop_id", "admitted_by")
+PNG = [cv2.IMWRITE_PNG_COMPRESSION, 3]
+"""Of a view at 160 x 120: some 13 kB in 1 ms; the slowest would save a tenth."""
 
 
 def _insert(table: str, columns: Sequence[str]) -> str:
@@ -47,21 +65,29 @@ def _insert(table: str, columns: Sequence[str]) -> str:
 INSERT_KEYFRAME = _insert(
     "keyframes",
     [
-        *("id", "frame_index", "stamp_s", "segment"),
+        *("id", "session", "frame_index", "stamp_s", "segment"),
         *(f"odom_{name}" for name in POSE),
-        *("scene", "scene_probability", "probabilities", "words", "weights", "cloud"),
+        *("scene", "scene_probability", "probabilities", "words", "weights"),
         *list(SMOOTHED)[:3],
     ],
 )
-INSERT_CANDIDATE = _insert("candidates", CANDIDATE)
-INSERT_LOOP = _insert("loops", ["query_id", "match_id", "kind", "source", *POSE, "information"])
+INSERT_VIEW = _insert("views", ["keyframe_id", "per_m", "depth"])
+INSERT_FRAME = _insert(
+    "frames",
+    [
+        *("session", "frame_index", "stamp_s", "segment"),
+        *("T_odom_raw", "T_odom_camera", "T_view_camera"),
+    ],
+)
+INSERT_CANDIDATE = _insert("candidates", [*CANDIDATE, *EDGE])
 INSERT_REGION = _insert("regions", ["id", "label", "probability", "n_keyframes", *BOX])
 
 
-def keyframe_row(keyframe: Keyframe, cloud: Array | None) -> Row:
-    """Return the values of ``INSERT_KEYFRAME``; ``cloud`` is (N, 3) points_camera."""
+def keyframe_row(keyframe: Keyframe) -> Row:
+    """Return the values of ``INSERT_KEYFRAME``."""
     return (
         int(keyframe.id),
+        int(keyframe.session),
         int(keyframe.frame_index),
         float(keyframe.stamp_s),
         int(keyframe.segment),
@@ -69,7 +95,6 @@ def keyframe_row(keyframe: Keyframe, cloud: Array | None) -> Row:
         *scene_row(keyframe.scene),
         _blob(keyframe.bag.words, "<i4"),
         _blob(keyframe.bag.weights, "<f4"),
-        None if cloud is None else _blob(cloud, "<f4"),
         *scene_row(keyframe.smoothed),
     )
 
@@ -85,6 +110,7 @@ def keyframe_of(row: Any, classes: tuple[str, ...]) -> Keyframe:
         scene_of(row, classes),
         row["segment"],
         smoothed_of(row, classes),
+        row["session"],
     )
 
 
@@ -120,17 +146,55 @@ def region_of(row: Any, keyframe_ids: Sequence[int]) -> Region:
     )
 
 
-def cloud_of(row: Any) -> Array | None:
-    """Return the (N, 3) points_camera in a row of ``keyframes``, if there are any."""
-    if row["cloud"] is None:
+def view_row(keyframe_id: int, thin: ThinDepth) -> Row:
+    """Return the values of ``INSERT_VIEW``."""
+    _, png = cv2.imencode(".png", thin.depth, PNG)
+    return int(keyframe_id), thin.per_m, png.tobytes()
+
+
+def thin_of(row: Any, camera: Intrinsics) -> ThinDepth | None:
+    """Return what is kept of a depth image in a row of ``views``, nothing if it is damaged."""
+    png = np.frombuffer(row["depth"], np.uint8)
+    depth = cv2.imdecode(png, cv2.IMREAD_UNCHANGED) if png.size else None
+    if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
         return None
-    return _array(row["cloud"], "<f4").reshape(-1, 3).astype(np.float64)
+    return ThinDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
 
 
-def candidate_row(candidate: Candidate) -> Row:
+def frame_row(session: int, frame_index: int, frame: FramePose) -> Row:
+    """Return the values of ``INSERT_FRAME``."""
+    view = None if frame.T_view_camera is None else _blob(frame.T_view_camera[:3], "<f8")
+    poses = (_blob(frame.T_odom_raw[:3], "<f8"), _blob(frame.T_odom_camera[:3], "<f8"), view)
+    return (session, int(frame_index), float(frame.stamp_s), int(frame.segment), *poses)
+
+
+def frame_of(row: Any) -> FramePose:
+    """Return the frame in a row of ``frames``."""
+    view = row["T_view_camera"]
+    return FramePose(
+        row["stamp_s"],
+        _whole(row["T_odom_raw"]),
+        _whole(row["T_odom_camera"]),
+        row["segment"],
+        None if view is None else _whole(view),
+    )
+
+
+def candidate_row(candidate: Candidate, edge: Row) -> Row:
     """Return the values of ``INSERT_CANDIDATE``; SQLite keeps NaN as null."""
     values = (getattr(candidate, name) for name in CANDIDATE)
-    return [value.item() if isinstance(value, np.generic) else value for value in values]
+    own = [value.item() if isinstance(value, np.generic) else value for value in values]
+    return (*own, *edge)
+
+
+def edge_row(
+    loop: Loop | None, *, loop_id: int | None = None, admitted_by: int | None = None
+) -> Row:
+    """Return the values of ``INSERT_CANDIDATE`` that are of the edge, null where there is none."""
+    if loop is None:
+        return (None,) * len(EDGE)
+    information = _blob(loop.information, "<f8")
+    return (*pose_row(loop.T_match_query), information, loop_id, admitted_by)
 
 
 def candidate_of(row: Any) -> Candidate:
@@ -140,15 +204,8 @@ def candidate_of(row: Any) -> Candidate:
     return Candidate(**values)
 
 
-def loop_row(loop: Loop) -> Row:
-    """Return the values of ``INSERT_LOOP``."""
-    information = _blob(loop.information, "<f8")
-    ids = (int(loop.query_id), int(loop.match_id))
-    return (*ids, loop.kind, loop.source, *pose_row(loop.T_match_query), information)
-
-
 def loop_of(row: Any) -> Loop:
-    """Return the edge in a row of ``loops``."""
+    """Return the edge in a row of ``loops``, or in one of ``candidates`` that has one."""
     information = _array(row["information"], "<f8").reshape(6, 6)
     ids = (row["query_id"], row["match_id"])
     return Loop(*ids, pose_of(row), information, row["kind"], row["source"])
@@ -178,3 +235,8 @@ def _blob(values: ArrayLike, dtype: str) -> bytes:
 
 def _array(blob: bytes, dtype: str) -> NDArray[Any]:
     return np.frombuffer(blob, dtype)
+
+
+def _whole(blob: bytes) -> Pose:
+    """Return the pose (4, 4) of which the first three rows are given."""
+    return np.vstack([_array(blob, "<f8").reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])

@@ -2,33 +2,39 @@
 
 from __future__ import annotations
 
-import csv
-import itertools
-import json
+import importlib.metadata
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, fields, replace
-from datetime import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from slam_bof import config as configs
 from slam_bof import registry
 from slam_bof.config import Config
-from slam_bof.errors import RunError
+from slam_bof.errors import MapError
 from slam_bof.mapping import write_map
 from slam_bof.metrics import Metrics, Usage, compute_metrics
-from slam_bof.minislam import MiniSlam
-from slam_bof.ports import Dataset, NullObserver, Observer
+from slam_bof.minislam import MiniSlam, of_session
+from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
+from slam_bof.records import read_records
 from slam_bof.report import ReportData, write_report
+from slam_bof.run_folder import (
+    link_map,
+    logging_to,
+    make_folder,
+    naming_errors,
+    write_audit_trail,
+    write_metrics,
+    write_trajectory,
+)
 from slam_bof.scene_map import label_map
 from slam_bof.slam import LoopCloser
-from slam_bof.store import MapStore
+from slam_bof.store import MapStore, Session, SessionResult
 from slam_bof.timing import StageClock
-from slam_bof.trajectory import write_kitti, write_tum
-from slam_bof.types import Candidate, Keyframe, Step, Trajectory
+from slam_bof.types import Step
+from slam_bof.writer import MapWriter
 
-__all__ = ["RunResult", "run_sequence"]
+__all__ = ["RunResult", "resume_sequence", "run_sequence"]
 
 LEFT_OUT = "contradicts the other loops, weighed all together at the end"
 MANY_LOST = 0.1
@@ -45,11 +51,10 @@ class RunResult:
     metrics: Metrics
 
 
-class Recorder:
-    """The observer of a run: saves each keyframe at once, logs what goes wrong, passes all on."""
+class Watcher:
+    """The observer of a run: logs where odometry is lost and what goes wrong, passes all on."""
 
-    def __init__(self, store: MapStore, observer: Observer) -> None:
-        self._store = store
+    def __init__(self, observer: Observer) -> None:
         self._observer = observer
         self._is_lost = False
 
@@ -58,14 +63,12 @@ class Recorder:
         self._observer.on_start(n_frames)
 
     def on_step(self, frame_index: int, step: Step) -> None:
-        """Save the keyframe, if the frame became one; log where odometry is lost and found."""
+        """Log where odometry is lost and found."""
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(
                 "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "found"
             )
-        if step.keyframe is not None:
-            self._store.add(step.keyframe, step.candidates, step.loops)
         self._observer.on_step(frame_index, step)
 
     def on_warning(self, message: str) -> None:
@@ -79,174 +82,231 @@ def run_sequence(
     config: Config,
     out: Path,
     *,
+    map_file: Path | None = None,
     observer: Observer | None = None,
     max_frames: int | None = None,
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Run the mini-SLAM over a sequence and write everything into a new folder under ``out``.
 
-    ``remarks`` are lines for the head of ``run.log``.
+    Parameters
+    ----------
+    dataset, config
+        What to run, and how.
+    out
+        Where the run gets its folder.
+    map_file
+        A map that the sequence is to be joined to, as another session; if there is none yet, it
+        is made. By default the run makes a map of its own in its folder.
+    observer
+        Looks on.
+    max_frames
+        Stop after so many.
+    remarks
+        Lines for the head of ``run.log``.
 
     Raises
     ------
     RunError
         If the folder cannot be made or written.
     SlamBofError
-        Whatever else the user can mend: the model, a plug-in, the data set.
+        Whatever else the user can mend: the model, a plug-in, the data set, the map.
     """
-    clock = StageClock()
     config = configs.complete(config)
-    odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
-    closer = LoopCloser.from_config(config, clock=clock)
-    folder = _make_folder(out)
-    with _naming(folder), _logging_to(folder / "run.log"):
-        for remark in remarks:
-            logger.info(remark)
-        logger.info("%s of %s, %d frames", dataset.sequence, dataset.name, len(dataset))
+    extends = map_file is not None and map_file.exists()
+    if map_file is not None and extends:
+        MapStore.open(map_file).close()  # so that a bad one leaves no folder behind
+    job = _Job.prepare(dataset, config, observer, max_frames)
+    folder = make_folder(out)
+    with naming_errors(folder), logging_to(folder / "run.log"):
+        _begin_log(dataset, remarks)
         (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
-        with MapStore.create(folder / "map.db") as store:
-            recorder = Recorder(store, observer or NullObserver())
-            store.set_parameters(_parameters(dataset, config))
-            started = Usage.now()
-            slam = MiniSlam(odometry, closer, observer=recorder, clock=clock)
-            result = slam.run(dataset, max_frames=max_frames)
-            _write_trajectory(folder, "odometry", result.odometry)
-            _write_trajectory(folder, "optimized", result.optimized)
-            used = Usage.now() - started
-            if closer.n_frames_lost > MANY_LOST * len(result.indices):
-                recorder.on_warning(
-                    f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little "
-                    "depth, or too little in common with what was seen before"
-                )
-            T_map_camera = closer.backend.poses()
-            store.set_map_poses(T_map_camera)
-            store.leave_out(closer.loops_left_out, LEFT_OUT)
-            smoothed, regions = label_map(
-                closer.keyframes, T_map_camera, config.labels, config.regions, parts=closer.parts
+        if map_file is not None:
+            link_map(folder, map_file)
+        place = map_file or folder / "map.db"
+        with MapStore.open(place, read_only=False) if extends else MapStore.create(place) as store:
+            sessions = store.sessions()
+            _check_ready(store, sessions)
+            session = Session(
+                len(sessions),
+                dataset.name,
+                dataset.sequence,
+                configs.dump(config),
+                config.seed,
+                importlib.metadata.version("slam-bof"),
+                max_frames,
             )
-            store.set_scenes(smoothed, regions)
-            candidates = store.candidates()
-        groundtruth = dataset.groundtruth()
-        keyframe_frames = [int(result.indices[k.frame_index]) for k in closer.keyframes]
-        scenes = dataset.scenes()
-        true_scenes = None if scenes is None else [scenes[i] for i in keyframe_frames]
-        metrics = compute_metrics(
-            dataset_name=dataset.name,
-            sequence=dataset.sequence,
-            result=result,
-            closer=closer,
-            candidates=candidates,
+            return _run(job, folder, store, session, is_new=True)
+
+
+def resume_sequence(
+    dataset: Dataset,
+    map_file: Path,
+    out: Path,
+    *,
+    observer: Observer | None = None,
+    max_frames: int | None = None,
+    remarks: Sequence[str] = (),
+) -> RunResult:
+    """Go on with an interrupted run after its last keyframe, to the end that it would have had.
+
+    The configuration is that of the run, and so is its folder where the map is in it; the odometry
+    is run again over the frames before. A run that was at its end writes its files again.
+
+    Raises
+    ------
+    RunError
+        If the folder cannot be written.
+    SlamBofError
+        Whatever else the user can mend: the map is of another sequence, or none to resume.
+    """
+    with MapStore.open(map_file, read_only=False) as store:
+        sessions = store.sessions()
+        if not sessions:
+            raise MapError(f"{map_file}: found no session in it, expected an interrupted run")
+        session = sessions[-1]
+        found, expected = (dataset.name, dataset.sequence), (session.dataset, session.sequence)
+        if found != expected:
+            raise MapError(
+                f"{map_file}: found a run of {' '.join(expected)}, expected one of "
+                f"{' '.join(found)}"
+            )
+        config = configs.parse(session.config, f"{map_file}: session {session.id}")
+        job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
+        is_in_folder = (map_file.parent / "config.yaml").exists()
+        folder = map_file.parent if is_in_folder else make_folder(out)
+        with naming_errors(folder), logging_to(folder / "run.log"):
+            _begin_log(dataset, remarks)
+            if not is_in_folder:
+                (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
+                link_map(folder, map_file)
+            return _run(job, folder, store, session, is_new=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """What a run does, and with what; made before anything is written."""
+
+    dataset: Dataset
+    config: Config
+    observer: Observer
+    max_frames: int | None
+    clock: StageClock
+    odometry: Odometry
+    closer: LoopCloser
+
+    @classmethod
+    def prepare(
+        cls, dataset: Dataset, config: Config, observer: Observer | None, max_frames: int | None
+    ) -> _Job:
+        """Build the parts that the configuration names."""
+        clock = StageClock()
+        odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
+        closer = LoopCloser.from_config(config, clock=clock)
+        watcher = Watcher(observer or NullObserver())
+        return cls(dataset, config, watcher, max_frames, clock, odometry, closer)
+
+
+def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: bool) -> RunResult:
+    """Run a session from where the map has it to its end, and write its files."""
+    dataset, config, closer = job.dataset, job.config, job.closer
+    started = Usage.now()
+    with MapWriter(store) as writer:
+        _restore(closer, store, session, is_new=is_new)
+        closer.journal = writer.write
+        slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
+        result = slam.run(dataset, max_frames=job.max_frames)
+    write_trajectory(folder, "odometry", result.odometry)
+    write_trajectory(folder, "optimized", result.optimized)
+    used = Usage.now() - started
+    if closer.n_frames_lost > MANY_LOST * len(result.indices):
+        job.observer.on_warning(
+            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little "
+            "depth, or too little in common with what was seen before"
+        )
+    T_map_camera = closer.backend.poses()
+    smoothed, regions = label_map(
+        closer.keyframes, T_map_camera, config.labels, config.regions, parts=closer.parts
+    )
+    left_out = closer.loops_left_out
+    store.finish(
+        session.id,
+        SessionResult(
+            closer.frames_since_keyframe, T_map_camera, smoothed, regions, left_out, LEFT_OUT
+        ),
+    )
+    first = closer.first_keyframe
+    candidates = of_session(store.candidates(), range(first, len(closer.keyframes)))
+    closer.backend.write_g2o(folder / "pose_graph.g2o")
+    groundtruth = dataset.groundtruth()
+    scenes = dataset.scenes()
+    frames = [int(result.indices[k.frame_index]) for k in result.keyframes]
+    true_scenes = None if scenes is None else [scenes[i] for i in frames]
+    metrics = compute_metrics(
+        dataset_name=dataset.name,
+        sequence=dataset.sequence,
+        result=result,
+        closer=closer,
+        candidates=candidates,
+        groundtruth=groundtruth,
+        true_scenes=true_scenes,
+        smoothed=smoothed[first:],
+        n_regions=len(regions),
+        usage=used,
+        clock=job.clock,
+        seed=config.seed,
+    )
+    write_metrics(folder / "metrics.json", metrics)
+    if groundtruth is not None:
+        write_trajectory(folder, "groundtruth", groundtruth)
+    write_audit_trail(folder / "loops.csv", candidates, result.keyframes)
+    write_map(folder / "map.ply", dataset, frames, result.T_map_camera)
+    write_report(
+        folder / "report.html",
+        ReportData(
+            metrics=metrics,
+            odometry=result.odometry,
+            optimized=result.optimized,
             groundtruth=groundtruth,
+            keyframes=[
+                replace(keyframe, smoothed=scene)
+                for keyframe, scene in zip(result.keyframes, smoothed[first:], strict=True)
+            ],
+            loops=result.loops,
+            candidates=candidates,
             true_scenes=true_scenes,
-            smoothed=smoothed,
-            n_regions=len(regions),
-            usage=used,
-            clock=clock,
-            seed=config.seed,
-        )
-        _write_json(folder / "metrics.json", metrics)
-        if groundtruth is not None:
-            _write_trajectory(folder, "groundtruth", groundtruth)
-        closer.backend.write_g2o(folder / "pose_graph.g2o")
-        _write_audit_trail(folder / "loops.csv", candidates, closer.keyframes)
-        write_map(folder / "map.ply", dataset, keyframe_frames, T_map_camera)
-        write_report(
-            folder / "report.html",
-            ReportData(
-                metrics=metrics,
-                odometry=result.odometry,
-                optimized=result.optimized,
-                groundtruth=groundtruth,
-                keyframes=[
-                    replace(keyframe, smoothed=scene)
-                    for keyframe, scene in zip(closer.keyframes, smoothed, strict=True)
-                ],
-                loops=closer.loops,
-                candidates=candidates,
-                true_scenes=true_scenes,
-            ),
-        )
-        logger.info("done: %d keyframes, %s loops", len(closer.keyframes), metrics["n_loops"])
+        ),
+    )
+    logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])
     return RunResult(folder, metrics)
 
 
-def _make_folder(out: Path) -> Path:
-    """Make ``out``/<time stamp> and point ``out``/latest to it."""
-    name = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
-    with _naming(out):
-        out.mkdir(parents=True, exist_ok=True)
-        for attempt in itertools.count():
-            folder = out / (f"{name}_{attempt}" if attempt else name)
-            if not folder.exists():
-                break
-        folder.mkdir()
-        link = out / ".latest"
-        link.unlink(missing_ok=True)
-        link.symlink_to(folder.name, target_is_directory=True)
-        link.replace(out / "latest")
-    return folder
+def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
+    """Bring the closer to where the map has the session, and begin it if it is new."""
+    model = store.parameters().get("model", closer.model_hash)
+    if model != closer.model_hash:
+        raise MapError(
+            f"{store.path}: found words of model {model[:12]}, expected those of "
+            f"{closer.model_hash[:12]}: a map is of one model"
+        )
+    closer.restore(read_records(store, as_before=None if is_new else session.id))
+    while closer.session < session.id:
+        closer.begin_session()
+    if is_new:
+        store.set_parameters({"model": model})
+        store.begin_session(session)
 
 
-@contextmanager
-def _naming(folder: Path) -> Iterator[None]:
-    """Turn what the file system refuses into one line that names the place."""
-    try:
-        yield
-    except OSError as error:
-        place = error.filename or folder
-        reason = error.strerror or str(error)
-        raise RunError(f"{place}: cannot write the run: {reason}") from error
+def _check_ready(store: MapStore, sessions: Sequence[Session]) -> None:
+    """Check that the map can take another session."""
+    if sessions and not sessions[-1].is_finished:
+        raise MapError(
+            f"{store.path}: found that its last run, of {sessions[-1].sequence}, was interrupted, "
+            "expected a finished one: resume it first"
+        )
 
 
-@contextmanager
-def _logging_to(path: Path) -> Iterator[None]:
-    """Send the package's log to a file while the block runs."""
-    handler = logging.FileHandler(path, encoding="utf-8")
-    handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    package = logging.getLogger("slam_bof")
-    level = package.level
-    package.addHandler(handler)
-    package.setLevel(logging.INFO)
-    try:
-        yield
-    finally:
-        package.removeHandler(handler)
-        package.setLevel(level)
-        handler.close()
-
-
-def _parameters(dataset: Dataset, config: Config) -> dict[str, str]:
-    return {
-        "dataset": dataset.name,
-        "sequence": dataset.sequence,
-        "config": configs.dump(config),
-        "seed": str(config.seed),
-    }
-
-
-def _write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
-    write_tum(folder / f"trajectory_{name}_tum.txt", trajectory)
-    write_kitti(folder / f"trajectory_{name}_kitti.txt", trajectory)
-
-
-def _write_json(path: Path, metrics: Metrics) -> None:
-    path.write_text(json.dumps(metrics, indent=2) + "\n", encoding="utf-8")
-
-
-def _write_audit_trail(
-    path: Path, candidates: Sequence[Candidate], keyframes: Sequence[Keyframe]
-) -> None:
-    """Write a line for each pair of keyframes considered; an empty field is a figure not made."""
-    names = [field.name for field in fields(Candidate)]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["query_stamp_s", "match_stamp_s", *names])
-        for candidate in candidates:
-            values = [getattr(candidate, name) for name in names]
-            writer.writerow(
-                [
-                    keyframes[candidate.query_id].stamp_s,
-                    keyframes[candidate.match_id].stamp_s,
-                    *("" if value != value else value for value in values),
-                ]
-            )
+def _begin_log(dataset: Dataset, remarks: Sequence[str]) -> None:
+    for remark in remarks:
+        logger.info(remark)
+    logger.info("%s of %s, %d frames", dataset.sequence, dataset.name, len(dataset))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from slam_bof.errors import RunError
+from slam_bof.minislam import of_session
 from slam_bof.report import ReportData
 from slam_bof.store import MapStore
 from slam_bof.trajectory import read_tum
@@ -33,12 +35,15 @@ def read_run(folder: Path) -> ReportData:
     except (OSError, ValueError) as error:
         raise RunError(f"{metrics}: found {error}, expected the metrics of a run") from error
     with MapStore.open(folder / "map.db") as store:
+        # The map may be of several sessions, of which the run was one.
+        own = [k for k in store.keyframes() if k.session == figures.get("session", 0)]
+        ids = range(own[0].id, own[-1].id + 1) if own else range(0)
         return ReportData(
             metrics=figures,
             odometry=read_tum(folder / "trajectory_odometry_tum.txt"),
             optimized=read_tum(folder / "trajectory_optimized_tum.txt"),
             groundtruth=read_tum(groundtruth) if groundtruth.is_file() else None,
-            keyframes=store.keyframes(),
-            loops=store.loops(),
-            candidates=store.candidates(),
+            keyframes=[replace(keyframe, id=keyframe.id - ids.start) for keyframe in own],
+            loops=of_session(store.loops(), ids),
+            candidates=of_session(store.candidates(), ids),
         )

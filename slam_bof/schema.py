@@ -1,35 +1,49 @@
 """The layout of ``map.db``, how it is opened, and what its errors mean.
 
 One SQLite file, readable with the sqlite3 shell. Poses are columns ``tx ty tz`` in metres and
-``qx qy qz qw``; blobs are little-endian arrays.
+``qx qy qz qw``; blobs are little-endian arrays. ``crc`` is of the other columns of its row, as
+``row_crc`` computes it, so that damage is noticed and named.
 
 =============== ===================================================================
 table           columns
 =============== ===================================================================
-``keyframes``   ``id``; ``frame_index``; ``stamp_s``; ``segment``, which counts how
-                often odometry was lost; ``odom_tx ... odom_qw`` (T_odom_camera, as
-                tracking has mended it); ``map_tx ... map_qw`` (T_map_camera, null until the
-                run is finished); ``scene`` and ``scene_probability``, null without
-                a scene classifier; ``probabilities`` float64, in the order of the
-                parameter ``classes``; ``words`` int32 and ``weights`` float32, the
-                bag; ``cloud`` float32 (N, 3) points_camera, or null;
+``sessions``    one for each run that the map is of: ``id``; ``dataset``,
+                ``sequence``; ``config`` (YAML), ``seed``, ``version``,
+                ``max_frames`` (null: all); ``state`` (JSON), what else it takes to
+                resume after the newest keyframe; ``is_finished``
+``keyframes``   ``id``; ``session``; ``frame_index`` in it; ``stamp_s``; ``segment``, which
+                counts how often odometry was lost or another began; ``odom_tx ... odom_qw``
+                (T_odom_camera, as tracking has mended it); ``map_tx ... map_qw``
+                (T_map_camera, null until the session is finished); ``scene`` and
+                ``scene_probability``, null without a scene classifier;
+                ``probabilities`` float64, in the order of the parameter ``classes``;
+                ``words`` int32 and ``weights`` float32, the bag;
                 ``smoothed``, ``smoothed_probability``, ``smoothed_probabilities``,
                 the label by the keyframes around as well (by those before until the
-                run is finished); ``region`` it stands in
+                session is finished); ``region`` it stands in
+``views``       ``keyframe_id``; ``depth``, every few pixels of its depth image as a 16-bit
+                PNG, in steps of which ``per_m`` make a metre
+``frames``      ``id``; every frame up to the newest keyframe (up to the last once the session is
+                finished): ``session``, ``frame_index``, ``stamp_s``, ``segment`` (-1: odometry
+                lost); ``T_odom_raw`` and ``T_odom_camera`` float64 (3, 4), by odometry and as
+                tracking has mended it; ``T_view_camera`` of point clouds, else null
+``candidates``  the audit trail, every pair considered: ``id`` and the fields of
+                ``slam_bof.types.Candidate``, null where not measured; ``decision``
+                is ``accepted``, ``rejected`` or ``held`` (never agreed with).
+                Of those that geometry accepts ``tx ... qw`` (T_match_query) and
+                ``information`` float64 (6, 6), rotation first; of those that entered the
+                graph ``loop_id``, in that order, and ``admitted_by``, the newest keyframe then;
+                ``left_out_by`` the session at whose end they were left out again
 ``regions``     rooms: ``id``, ``label``, ``probability``, ``n_keyframes``;
                 ``center_*``, ``low_*`` and ``high_*`` of where the camera was, in
                 metres in the map frame
-``loops``       ``id``; ``query_id`` and ``match_id``, keyframes; ``kind`` (loop or
-                covisibility); ``source`` (view, bag or proximity); ``tx ... qw``
-                (T_match_query); ``information`` float64 (6, 6), rotation first
-``candidates``  the audit trail, every pair considered: ``id`` and the fields of
-                ``slam_bof.types.Candidate``, null where not measured; ``decision``
-                is ``accepted``, ``rejected`` or ``held`` (never agreed with)
-``parameters``  ``key``, ``value``: configuration, seed, versions, data set ... and
-                ``classes``, the scene labels as a JSON list
+``parameters``  ``key``, ``value``: ``classes``, the scene labels as a JSON list, ``camera``,
+                ``model`` ...
 =============== ===================================================================
 
-The views ``keyframe_labels`` and ``loop_audit`` show the same for people to read.
+The view ``loops`` has the graph's edges: ``id``, ``query_id``, ``match_id``, ``kind`` (loop or
+covisibility), ``source`` (view, bag or proximity), ``tx ... qw`` and ``information``. The views
+``keyframe_labels`` and ``loop_audit`` show labels and candidates for people to read.
 ``PRAGMA user_version`` is the version of this layout.
 """
 
@@ -37,6 +51,8 @@ from __future__ import annotations
 
 import os
 import sqlite3
+import struct
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -46,17 +62,18 @@ from slam_bof.errors import MapError
 __all__ = [
     "APPLICATION_ID",
     "BOX",
+    "CHECKED",
     "POSE",
     "SCHEMA",
     "SCHEMA_VERSION",
     "SMOOTHED",
-    "UPGRADES",
     "connect",
     "naming_errors",
-    "upgrade",
+    "row_crc",
+    "sign",
 ]
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 APPLICATION_ID = 0x424F464D
 """Tells a map from other programs' databases ("BOFM")."""
 
@@ -75,31 +92,35 @@ SMOOTHED = {
 }
 """Columns of ``keyframes`` since version 3."""
 
-_REGIONS = f"""
-CREATE TABLE regions (
-    id INTEGER PRIMARY KEY,
-    label TEXT NOT NULL,
-    probability REAL NOT NULL,
-    n_keyframes INTEGER NOT NULL,
-    {", ".join(f"{name} REAL NOT NULL" for name in BOX)}
-);
-CREATE VIEW keyframe_labels AS
-    SELECT id, frame_index, stamp_s, scene, round(scene_probability, 3) AS probability,
-        smoothed, round(smoothed_probability, 3) AS smoothed_probability, region,
-        round(coalesce(map_tx, odom_tx), 3) AS x_m,
-        round(coalesce(map_ty, odom_ty), 3) AS y_m,
-        round(coalesce(map_tz, odom_tz), 3) AS z_m,
-        (SELECT count(*) FROM loops WHERE query_id = keyframes.id AND kind = 'loop') AS n_loops
-    FROM keyframes ORDER BY id;
-PRAGMA user_version = {SCHEMA_VERSION};
-"""
+CHECKED = {
+    "sessions": "id",
+    "keyframes": "id",
+    "views": "keyframe_id",
+    "frames": "id",
+    "candidates": "id",
+    "regions": "id",
+    "parameters": "key",
+}
+"""The tables whose rows have a ``crc``, and what each row is called by."""
 
-SCHEMA = f"""
-BEGIN;
-CREATE TABLE parameters (key TEXT PRIMARY KEY, value TEXT NOT NULL);
+TABLES = f"""
+CREATE TABLE parameters (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER);
+CREATE TABLE sessions (
+    id INTEGER PRIMARY KEY,
+    dataset TEXT NOT NULL,
+    sequence TEXT NOT NULL,
+    config TEXT NOT NULL,
+    seed INTEGER NOT NULL,
+    version TEXT NOT NULL,
+    max_frames INTEGER,
+    state TEXT,
+    is_finished INTEGER NOT NULL DEFAULT 0,
+    crc INTEGER
+);
 CREATE TABLE keyframes (
     id INTEGER PRIMARY KEY,
-    frame_index INTEGER NOT NULL UNIQUE,
+    session INTEGER NOT NULL REFERENCES sessions (id),
+    frame_index INTEGER NOT NULL,
     stamp_s REAL NOT NULL,
     segment INTEGER NOT NULL,
     {", ".join(f"odom_{name} REAL NOT NULL" for name in POSE)},
@@ -109,19 +130,28 @@ CREATE TABLE keyframes (
     probabilities BLOB,
     words BLOB NOT NULL,
     weights BLOB NOT NULL,
-    cloud BLOB,
-    {", ".join(f"{name} {kind}" for name, kind in SMOOTHED.items())}
+    {", ".join(f"{name} {kind}" for name, kind in SMOOTHED.items())},
+    crc INTEGER,
+    UNIQUE (session, frame_index)
 );
-CREATE TABLE loops (
+CREATE TABLE views (
+    keyframe_id INTEGER PRIMARY KEY REFERENCES keyframes (id),
+    per_m INTEGER NOT NULL,
+    depth BLOB NOT NULL,
+    crc INTEGER
+);
+CREATE TABLE frames (
     id INTEGER PRIMARY KEY,
-    query_id INTEGER NOT NULL REFERENCES keyframes (id),
-    match_id INTEGER NOT NULL REFERENCES keyframes (id),
-    kind TEXT NOT NULL,
-    source TEXT NOT NULL,
-    {", ".join(f"{name} REAL NOT NULL" for name in POSE)},
-    information BLOB NOT NULL
+    session INTEGER NOT NULL REFERENCES sessions (id),
+    frame_index INTEGER NOT NULL,
+    stamp_s REAL NOT NULL,
+    segment INTEGER NOT NULL,
+    T_odom_raw BLOB NOT NULL,
+    T_odom_camera BLOB NOT NULL,
+    T_view_camera BLOB,
+    crc INTEGER,
+    UNIQUE (session, frame_index)
 );
-CREATE INDEX loops_by_query ON loops (query_id);
 CREATE TABLE candidates (
     id INTEGER PRIMARY KEY,
     query_id INTEGER NOT NULL REFERENCES keyframes (id),
@@ -136,9 +166,31 @@ CREATE TABLE candidates (
     overlap REAL,
     rmse_m REAL,
     decision TEXT NOT NULL,
-    reason TEXT NOT NULL
+    reason TEXT NOT NULL,
+    {", ".join(f"{name} REAL" for name in POSE)},
+    information BLOB,
+    loop_id INTEGER UNIQUE,
+    admitted_by INTEGER REFERENCES keyframes (id),
+    left_out_by INTEGER REFERENCES sessions (id),
+    crc INTEGER
 );
 CREATE INDEX candidates_by_query ON candidates (query_id);
+CREATE INDEX candidates_by_match ON candidates (match_id);
+CREATE INDEX candidates_by_admitted ON candidates (admitted_by);
+CREATE TABLE regions (
+    id INTEGER PRIMARY KEY,
+    label TEXT NOT NULL,
+    probability REAL NOT NULL,
+    n_keyframes INTEGER NOT NULL,
+    {", ".join(f"{name} REAL NOT NULL" for name in BOX)},
+    crc INTEGER
+);
+"""
+
+VIEWS = f"""
+CREATE VIEW loops AS
+    SELECT loop_id AS id, query_id, match_id, kind, source, {", ".join(POSE)}, information
+    FROM candidates WHERE decision = 'accepted' AND loop_id IS NOT NULL ORDER BY loop_id;
 CREATE VIEW loop_audit AS
     SELECT query_id, match_id, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s,
         kind, source, decision, reason, round(score, 4) AS score, round(eta, 4) AS eta,
@@ -148,21 +200,24 @@ CREATE VIEW loop_audit AS
         JOIN keyframes AS q ON q.id = query_id
         JOIN keyframes AS m ON m.id = match_id
     ORDER BY candidates.id;
-{_REGIONS}
-PRAGMA application_id = {APPLICATION_ID};
-COMMIT;
+CREATE VIEW keyframe_labels AS
+    SELECT id, session, frame_index, stamp_s, scene, round(scene_probability, 3) AS probability,
+        smoothed, round(smoothed_probability, 3) AS smoothed_probability, region,
+        round(coalesce(map_tx, odom_tx), 3) AS x_m,
+        round(coalesce(map_ty, odom_ty), 3) AS y_m,
+        round(coalesce(map_tz, odom_tz), 3) AS z_m,
+        (SELECT count(*) FROM loops WHERE query_id = keyframes.id AND kind = 'loop') AS n_loops
+    FROM keyframes ORDER BY id;
 """
 
-UPGRADES = {
-    2: f"""
+SCHEMA = f"""
 BEGIN;
-{"".join(f"ALTER TABLE keyframes ADD COLUMN {name} {kind};" for name, kind in SMOOTHED.items())}
-DROP VIEW keyframe_labels;
-{_REGIONS}
+{TABLES}
+{VIEWS}
+PRAGMA application_id = {APPLICATION_ID};
+PRAGMA user_version = {SCHEMA_VERSION};
 COMMIT;
-""",
-}
-"""By the version that a map is of, what makes it one of this version."""
+"""
 
 FOUND = {
     sqlite3.SQLITE_NOTADB: "found no SQLite database, expected a map.db",
@@ -180,30 +235,56 @@ FOUND = {
 def connect(path: Path, mode: str) -> sqlite3.Connection:
     """Open the database: mode "ro" to read, "rw" to write, "rwc" to make it as well.
 
-    Transactions are explicit (``BEGIN``); rows can be indexed by column name.
+    Transactions are explicit (``BEGIN``); rows can be indexed by column name. One thread at a
+    time may use it.
     """
     uri = f"{path.resolve().as_uri()}?mode={mode}"
     folder, wal = path.resolve().parent, Path(f"{path}-wal")
     if mode == "ro" and not wal.exists() and not os.access(folder, os.W_OK):
         # SQLite wants to put its lock files beside; on read-only media nothing can change.
         uri += "&immutable=1"
-    db = sqlite3.connect(uri, timeout=BUSY_TIMEOUT_S, isolation_level=None, uri=True)
-    db.row_factory = sqlite3.Row
+    db = sqlite3.connect(
+        uri, timeout=BUSY_TIMEOUT_S, isolation_level=None, uri=True, check_same_thread=False
+    )
+    prepare(db)
     db.execute("PRAGMA foreign_keys = ON")
     db.execute("PRAGMA synchronous = NORMAL")
     return db
 
 
-def upgrade(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
-    """Return a map of an older version as one of this: itself, or a copy of it in memory."""
-    if not in_place:
-        copy = sqlite3.connect(":memory:", isolation_level=None)
-        copy.row_factory = sqlite3.Row
-        db.backup(copy)
-        db.close()
-        db = copy
-    db.executescript(UPGRADES[version])
-    return db
+def prepare(db: sqlite3.Connection) -> None:
+    """Let rows be indexed by column name, and SQL compute ``row_crc``."""
+    db.row_factory = sqlite3.Row
+    db.create_function("row_crc", -1, row_crc, deterministic=True)
+
+
+def row_crc(*values: float | str | bytes | None) -> int:
+    """Return the CRC-32 of a row's values; a number counts as the float64 that it is."""
+    crc = 0
+    for value in values:
+        if value is None:
+            data = b"\0"
+        elif isinstance(value, bytes):
+            data = value
+        elif isinstance(value, str):
+            data = value.encode(errors="surrogateescape")
+        else:
+            data = struct.pack("<d", value)
+        crc = zlib.crc32(data, zlib.crc32(struct.pack("<q", len(data)), crc))
+    return crc
+
+
+def sign(db: sqlite3.Connection, table: str, where: str = "TRUE", *values: object) -> None:
+    """Bring the ``crc`` of rows up to date."""
+    db.execute(
+        f"UPDATE {table} SET crc = row_crc({', '.join(columns(db, table))}) WHERE {where}", values
+    )
+
+
+def columns(db: sqlite3.Connection, table: str) -> list[str]:
+    """Return the names of a table's columns but for ``crc``."""
+    rows = db.execute(f"PRAGMA table_info({table})").fetchall()
+    return [row["name"] for row in rows if row["name"] != "crc"]
 
 
 @contextmanager
@@ -224,6 +305,8 @@ def naming_errors(path: Path) -> Iterator[None]:
     except (sqlite3.OperationalError, sqlite3.DatabaseError) as error:
         # The low byte is the primary code of SQLite's extended error codes.
         found = FOUND.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)
+        if found is None and "Could not decode" in str(error):
+            found = FOUND[sqlite3.SQLITE_CORRUPT]  # a flipped byte in a text
         if found is None:
             raise
         raise MapError(f"{path}: {found}") from error

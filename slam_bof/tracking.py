@@ -10,7 +10,7 @@ keyframe after all; or it starts anew once two frames in a row agree with each o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -81,11 +81,13 @@ class _Fit(NamedTuple):
 class Tracker:
     """Takes each frame with its odometry pose, and is told which ones become keyframes."""
 
-    def __init__(self, params: TrackingParams | None = None, *, seed: int = 0) -> None:
+    def __init__(
+        self, params: TrackingParams | None = None, *, seed: int = 0, segment: int = 0
+    ) -> None:
         self.params = params or TrackingParams()
         self.n_lost = 0
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
-        self._segment = 0
+        self._segment = segment
         self._is_lost = False
         self._usual = float("nan")
         self._view: View | None = None
@@ -94,7 +96,7 @@ class Tracker:
     def track(self, frame: DepthFrame, T_odom_camera: Pose) -> Track:
         """Say where the frame is, given its pose (4, 4) by odometry."""
         if not self.params.enabled:
-            return Track(T_odom_camera, False, 0, float("nan"))
+            return Track(T_odom_camera, False, self._segment, float("nan"))
         before, self._view = self._view, self._look(frame)
         T_guess = self._T_last @ se3.inverse(self._T_raw) @ T_odom_camera
         found = self._find(before, T_guess)
@@ -114,6 +116,23 @@ class Tracker:
             self._aligner.truncate(KEYFRAME)
             self._aligner.add(self._view)
             self._T_keyframe = self._T_last
+
+    def state(self) -> dict[str, Any]:
+        """Return what keyframes do not tell, as JSON has it."""
+        return {"n_lost": self.n_lost, "usual": None if np.isnan(self._usual) else self._usual}
+
+    def restore(
+        self, state: dict[str, Any], frame: DepthFrame, T_odom_raw: Pose, track: Track
+    ) -> None:
+        """Go on from a keyframe: its frame, its pose by odometry, and what came of it."""
+        self.n_lost = state["n_lost"]
+        self._usual = float("nan") if state["usual"] is None else state["usual"]
+        self._segment = track.segment
+        if self.params.enabled:
+            self._view = self._look(frame)
+            self._T_raw, self._is_lost = T_odom_raw, False
+            self._T_last = self._T_known = track.T_odom_camera
+            self.keep()
 
     def _look(self, frame: DepthFrame) -> View | None:
         """Return the frame's view if it shows enough."""

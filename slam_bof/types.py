@@ -14,18 +14,22 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, model_validator
 
 __all__ = [
+    "LOST",
     "Array",
     "Bag",
     "Candidate",
     "Contours",
     "DepthFrame",
+    "FramePose",
     "Intrinsics",
     "Keyframe",
+    "KeyframeRecord",
     "Loop",
     "Params",
     "Pose",
     "Scene",
     "Step",
+    "ThinDepth",
     "Trajectory",
     "Verification",
 ]
@@ -36,6 +40,9 @@ Pose = NDArray[np.float64]
 
 INVALID_DEPTH_MM = 65535
 """What 7-Scenes writes, besides 0, where the sensor saw nothing."""
+
+LOST = -1
+"""In place of a segment, of frames while odometry was lost."""
 
 
 class Params(BaseModel):
@@ -165,6 +172,7 @@ class Keyframe:
 
     ``T_odom_camera`` and ``segment`` are as ``tracking.Track`` has them. ``scene`` is what this
     keyframe alone shows, ``smoothed`` what is likely by the keyframes before it as well.
+    ``session`` counts the runs that the map is of; frames and odometry are those of one.
     """
 
     id: int
@@ -175,6 +183,7 @@ class Keyframe:
     scene: Scene | None
     segment: int = 0
     smoothed: Scene | None = None
+    session: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,6 +243,54 @@ class Loop:
     information: Array
     kind: str
     source: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePose:
+    """Where odometry had a frame, and where tracking has it, both (4, 4).
+
+    ``segment`` is the uninterrupted track it is of, ``LOST`` while odometry was lost.
+    ``T_view_camera`` is how the sensor stood in the view that was cut of its point cloud, None for
+    a depth image.
+    """
+
+    stamp_s: float
+    T_odom_raw: Pose
+    T_odom_camera: Pose
+    segment: int
+    T_view_camera: Pose | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThinDepth:
+    """What the map keeps of a depth image: every few pixels, as ``views.thin`` chooses them.
+
+    ``depth`` is (h, w) uint16 in steps of which ``per_m`` make a metre, 0 where missing;
+    ``intrinsics`` are those of the whole image.
+    """
+
+    depth: NDArray[np.uint16]
+    per_m: int
+    intrinsics: Intrinsics
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeRecord:
+    """All that the map learns with a keyframe, and all that it takes to go on from there.
+
+    ``frames`` are those since the keyframe before, this one the last of them. ``measured`` are
+    its own loops that geometry verified, ``admitted`` those that entered the graph with it, in
+    that order: of its own not all, of earlier keyframes some that were held back. ``state`` is what
+    else the plug-in remembers, as JSON has it.
+    """
+
+    keyframe: Keyframe
+    thin: ThinDepth
+    frames: tuple[FramePose, ...]
+    candidates: tuple[Candidate, ...]
+    measured: tuple[Loop, ...]
+    admitted: tuple[Loop, ...]
+    state: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

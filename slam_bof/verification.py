@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from slam_bof.ports import Verifier
 from slam_bof.recogniser import Compare
 from slam_bof.types import Array, Candidate, DepthFrame, Loop, Params, Pose, Verification
 
-__all__ = ["LoopVerification", "VerificationParams"]
+__all__ = ["LoopVerification", "VerificationParams", "Verified"]
 
 
 class VerificationParams(Params):
@@ -38,6 +38,17 @@ class VerificationParams(Params):
     drift_rad_per_m: float = Field(0.02, ge=0, description="and its turn")
     consistency: ConsistencyParams = ConsistencyParams()
     joining: JoinParams = JoinParams()
+
+
+class Verified(NamedTuple):
+    """What came of a keyframe's candidates."""
+
+    candidates: list[Candidate]
+    """The same, with figures, decision and reason. ``held`` is a loop that waits for others."""
+    measured: list[Loop]
+    """All that geometry accepts, held ones too."""
+    admitted: list[Loop]
+    """The edges to add now, among them loops of earlier keyframes held back so far."""
 
 
 class LoopVerification:
@@ -69,7 +80,7 @@ class LoopVerification:
         *,
         parts: NDArray[np.integer[Any]] | None = None,
         guesses: Mapping[int, Pose] = MappingProxyType({}),
-    ) -> tuple[list[Candidate], list[Loop]]:
+    ) -> Verified:
         """Judge the candidates of the newest keyframe that are still open.
 
         Those accepted already are aligned for their pose; the verdict does not veto them, but
@@ -79,14 +90,6 @@ class LoopVerification:
         which part of it they are in, as ``parts.MapParts`` has it (without: all in one); those of
         different parts say nothing of each other. ``guesses`` are ``T_match_query`` that
         recognition has already, by ``match_id``.
-
-        Returns
-        -------
-        list of Candidate
-            The same candidates with figures, decision and reason. ``held`` is a loop that
-            waits for others to agree with it.
-        list of Loop
-            The edges to add now, among them loops of earlier keyframes held back so far.
         """
         if parts is None:
             parts = np.zeros(len(T_map_camera), dtype=np.int64)
@@ -127,11 +130,17 @@ class LoopVerification:
                     reason=reason,
                 )
             )
+        admitted = self.admit(loops, T_map_camera, parts)
+        return Verified(_hold(judged, admitted, parts), edges + loops, edges + admitted)
+
+    def admit(
+        self, loops: Sequence[Loop], T_map_camera: Array, parts: NDArray[np.integer[Any]]
+    ) -> list[Loop]:
+        """Take the newest keyframe's verified loops; return those that others agree with now."""
         within = [loop for loop in loops if parts[loop.query_id] == parts[loop.match_id]]
         between = [loop for loop in loops if parts[loop.query_id] != parts[loop.match_id]]
         admitted = self._gate.admit(within, T_map_camera)
-        admitted += self._join_gate.admit(between, T_map_camera, parts)
-        return _hold(judged, admitted, parts), edges + admitted
+        return admitted + self._join_gate.admit(between, T_map_camera, parts)
 
     def _align(
         self, candidates: Sequence[Candidate], T_map_camera: Array, guesses: Mapping[int, Pose]

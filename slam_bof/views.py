@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.points import PointParams, points_camera_f32
-from slam_bof.types import DepthFrame, Intrinsics
+from slam_bof.types import DepthFrame, Intrinsics, ThinDepth
 
-__all__ = ["View", "make_view", "view_points"]
+__all__ = ["View", "in_steps", "make_view", "thicken", "thin", "view_points", "view_stride"]
 
 WIDTH_PX = 160
 """About so wide is the image that points are taken of; a view has every second of its pixels."""
 MIN_RANGE_M = 0.1
 MAX_RANGE_M = 8.0
 """Depths outside are dropped."""
+STEPS_PER_M = 8000
+"""Depths in metres are kept in such steps, an eighth of a millimetre."""
 MAX_SLOPE = 0.1
 """A step in depth of more than this share, plus as much of a metre, is an edge."""
 
@@ -45,7 +47,7 @@ def make_view(frame: DepthFrame) -> View:
 
     The last one is kept: tracking, recognition and verification each look at the same frame.
     """
-    stride = 2 * _stride(frame.intrinsics)
+    stride = 2 * view_stride(frame.intrinsics)
     depth_m = frame.depth_m(stride)
     depth_m[(depth_m < MIN_RANGE_M) | (depth_m > MAX_RANGE_M)] = 0.0
     camera = _shrunk(frame.intrinsics, stride)
@@ -58,9 +60,44 @@ def make_view(frame: DepthFrame) -> View:
 def view_points(frame: DepthFrame) -> NDArray[np.float32]:
     """Return the frame's points (N, 3) of a grid twice as fine as its view's."""
     fine = PointParams(
-        stride=_stride(frame.intrinsics), min_range_m=MIN_RANGE_M, max_range_m=MAX_RANGE_M
+        stride=view_stride(frame.intrinsics), min_range_m=MIN_RANGE_M, max_range_m=MAX_RANGE_M
     )
     return points_camera_f32(frame, fine)
+
+
+def in_steps(frame: DepthFrame) -> DepthFrame:
+    """Return the frame with depths as the map can keep them: those in metres are rounded.
+
+    So a map that is loaded again sees to the bit what was seen when it was made.
+    """
+    if frame.depth.dtype == np.uint16:
+        return frame
+    depth = np.rint(frame.depth.astype(np.float32) * np.float32(STEPS_PER_M))
+    depth /= np.float32(STEPS_PER_M)
+    return replace(frame, depth=depth)
+
+
+def thin(frame: DepthFrame) -> ThinDepth:
+    """Return those pixels of a frame, as ``in_steps`` makes it, that views are made of."""
+    stride = view_stride(frame.intrinsics)
+    metres = frame.depth_m(stride)
+    per_m = 1000 if frame.depth.dtype == np.uint16 else STEPS_PER_M
+    steps = np.rint(metres * np.float32(per_m))
+    steps[(metres < MIN_RANGE_M) | (metres > MAX_RANGE_M)] = 0
+    return ThinDepth(steps.astype(np.uint16), per_m, frame.intrinsics)
+
+
+def thicken(thin: ThinDepth, stamp_s: float = 0.0) -> DepthFrame:
+    """Return a frame that has the pixels kept and no others: its views are the same."""
+    camera = thin.intrinsics
+    stride = view_stride(camera)
+    if thin.per_m == 1000:
+        depth = np.zeros((camera.height, camera.width), np.uint16)
+        depth[::stride, ::stride] = thin.depth
+    else:
+        depth = np.zeros((camera.height, camera.width), np.float32)
+        depth[::stride, ::stride] = thin.depth / np.float32(thin.per_m)
+    return DepthFrame(stamp_s, depth, camera)
 
 
 def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -94,7 +131,7 @@ def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
     return normals
 
 
-def _stride(camera: Intrinsics) -> int:
+def view_stride(camera: Intrinsics) -> int:
     """Return the stride that makes an image about ``WIDTH_PX`` wide."""
     return max(1, round(camera.width / WIDTH_PX))
 

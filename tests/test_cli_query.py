@@ -11,12 +11,13 @@ import cv2
 import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
+from saved_maps import save
 from test_cli import refusal, slam_bof
 
 from slam_bof import model, se3
 from slam_bof.places import PlaceParams
 from slam_bof.regions import Region
-from slam_bof.store import MapStore
+from slam_bof.store import MapStore, SessionResult
 from slam_bof.training import TrainingFrame, train_model
 from slam_bof.types import Bag, DepthFrame, Keyframe, Scene
 
@@ -35,12 +36,13 @@ def labelled(tmp_path: Path) -> Path:
         for k, scene in enumerate(scenes["own"]):
             T = se3.pose(np.eye(3), [k, -1.0, 0.0])
             bag = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
-            store.add(Keyframe(k, 10 * k, k / 2, T, bag, scene))
+            save(store, Keyframe(k, 10 * k, k / 2, T, bag, scene), n_frames=1)
         rooms = [
             Region(0, "kitchen", 0.8, (0, 1, 2), (1.0, -1.0, 0.0), (0.0, -1, 0), (2.0, -1, 0)),
             Region(1, "office", 0.7, (3,), *((3.0, -1.0, 0.0),) * 3),
         ]
-        store.set_scenes(scenes["smoothed"], rooms)
+        poses = np.array([k.T_odom_camera for k in store.keyframes()])
+        store.finish(0, SessionResult([], poses, scenes["smoothed"], rooms))
     return tmp_path
 
 

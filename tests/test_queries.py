@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from saved_maps import save
 
 from slam_bof import se3
 from slam_bof.errors import MapError
 from slam_bof.queries import query_keyframes, query_loops, query_regions
 from slam_bof.regions import Region
-from slam_bof.store import MapStore
+from slam_bof.store import MapStore, SessionResult
 from slam_bof.types import Bag, Keyframe, Loop, Scene
 
 CLASSES = ("kitchen", "office")
@@ -32,7 +33,8 @@ def store(tmp_path: Path) -> Iterator[MapStore]:
                     Loop(3, 2, T, np.eye(6), "covisibility", "proximity"),
                 ],
             }
-            store.add(Keyframe(id_, 30 * id_, 100.0 + id_, T, bag, scene), [], edges.get(id_, []))
+            keyframe = Keyframe(id_, 30 * id_, 100.0 + id_, T, bag, scene)
+            save(store, keyframe, [], edges.get(id_, []), n_frames=1)
         yield store
 
 
@@ -72,10 +74,9 @@ def rooms(store: MapStore) -> MapStore:
     """The same, with smoothed labels of which one differs, and two rooms."""
     labels = [("kitchen", 0.9), ("kitchen", 0.8), ("kitchen", 0.7), ("unknown", 0.5)]
     box = ((1.0, 0.0, 0.0),) * 3
-    store.set_scenes(
-        [smoothed(*label) for label in labels],
-        [Region(0, "kitchen", 0.6, (0, 1), *box), Region(1, "kitchen", 0.7, (2,), *box)],
-    )
+    regions = [Region(0, "kitchen", 0.6, (0, 1), *box), Region(1, "kitchen", 0.7, (2,), *box)]
+    poses = np.array([keyframe.T_odom_camera for keyframe in store.keyframes()])
+    store.finish(0, SessionResult([], poses, [smoothed(*label) for label in labels], regions))
     return store
 
 
@@ -127,7 +128,8 @@ def test_one_keyframe_with_all_that_is_known_of_it(store: MapStore) -> None:
 
 
 def test_poses_are_those_of_the_map_once_there_are_any(store: MapStore) -> None:
-    store.set_map_poses(se3.exp(np.zeros((4, 6))) + np.eye(4, k=3)[None])
+    poses = se3.exp(np.zeros((4, 6))) + np.eye(4, k=3)[None]
+    store.finish(0, SessionResult([], poses, [None] * 4, []))
     (record,) = query_keyframes(store, keyframe_id=3)
     assert (record.frame, record.translation_m) == ("map", (1.0, 0.0, 0.0))
 

@@ -44,8 +44,8 @@ def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]])
     for offset_m in (0.0, 0.0, shift_m):
         verification.add(UNSEEN, points + np.array([offset_m, 0.0, 0.0]))
-    (judged,), loops = verification.verify([candidate], T_map_camera, parts=parts)
-    return judged, loops
+    found = verification.verify([candidate], T_map_camera, parts=parts)
+    return found.candidates[0], found.admitted
 
 
 def candidate(source="bag", kind="loop", **figures):

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slam_bof.cli.options import JSON, OUT, QUIET, SET
+from slam_bof.cli.querying import map_file
 
 if TYPE_CHECKING:
     from slam_bof.config import Config
+    from slam_bof.ports import Dataset
     from slam_bof.run import RunResult
 
 __all__ = ["demo", "run"]
@@ -50,18 +52,46 @@ def run(
     model: Annotated[str | None, typer.Option(help="Model file, or default.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random.")] = None,
     max_frames: Annotated[int | None, typer.Option(min=1, help="Stop after so many.")] = None,
+    map_: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="MAP",
+            help="Join the sequence to this map, as another session; made if there is none.",
+        ),
+    ] = None,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP",
+            help="Go on with an interrupted run, after the last keyframe in its map.db or folder.",
+        ),
+    ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
     """Run the mini-SLAM over a sequence: trajectory, loops, labels and map into a new folder."""
     from slam_bof import config as configs
 
+    if resume is not None:
+        given_too = {
+            "--map": map_ is not None,
+            "--config": config != "indoor",
+            "--set": bool(assignments),
+            "--dataset": dataset is not None,
+            "--model": model is not None,
+            "--seed": seed is not None,
+        }
+        result = _resume(sequence, resume, out, given_too, max_frames=max_frames, quiet=quiet)
+        _show(result, as_json=as_json)
+        return
     chosen = configs.override(configs.resolve(config), assignments or [])
     given: dict[str, Any] = {"model": model, "seed": seed}
     if dataset is not None:
         given["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
     chosen = chosen.model_copy(update={k: v for k, v in given.items() if v is not None})
-    result = _run(sequence, chosen, out, max_frames=max_frames, quiet=quiet)
+    place = None if map_ is None else map_file(map_)
+    result = _run(sequence, chosen, out, max_frames=max_frames, quiet=quiet, place=place)
     _show(result, as_json=as_json)
 
 
@@ -87,13 +117,68 @@ def demo(
 
 
 def _run(
-    sequence: Path, config: Config, out: Path, *, max_frames: int | None, quiet: bool
+    sequence: Path,
+    config: Config,
+    out: Path,
+    *,
+    max_frames: int | None,
+    quiet: bool,
+    place: Path | None = None,
 ) -> RunResult:
-    from slam_bof import registry
     from slam_bof.cli.console import FrameBar
+    from slam_bof.run import run_sequence
+
+    dataset, remarks = _open(sequence, config, quiet=quiet)
+    with FrameBar(dataset.sequence, quiet=quiet) as observer:
+        return run_sequence(
+            dataset,
+            config,
+            out,
+            map_file=place,
+            observer=observer,
+            max_frames=max_frames,
+            remarks=remarks,
+        )
+
+
+def _resume(
+    sequence: Path,
+    map_: Path,
+    out: Path,
+    given_too: dict[str, bool],
+    *,
+    max_frames: int | None,
+    quiet: bool,
+) -> RunResult:
+    from slam_bof import config as configs
+    from slam_bof.cli.console import FrameBar
+    from slam_bof.errors import ConfigError, MapError
+    from slam_bof.run import resume_sequence
+    from slam_bof.store import MapStore
+
+    wrong = [option for option, is_given in given_too.items() if is_given]
+    if wrong:
+        raise ConfigError(
+            f"{', '.join(wrong)}: found with --resume, expected without: a run goes on as it began"
+        )
+    place = map_file(map_)
+    with MapStore.open(place) as store:
+        sessions = store.sessions()
+    if not sessions:
+        raise MapError(f"{place}: found no session in it, expected an interrupted run")
+    config = configs.parse(sessions[-1].config, str(place))
+    dataset, remarks = _open(sequence, config, quiet=quiet)
+    with FrameBar(dataset.sequence, quiet=quiet) as observer:
+        return resume_sequence(
+            dataset, place, out, observer=observer, max_frames=max_frames, remarks=remarks
+        )
+
+
+def _open(sequence: Path, config: Config, *, quiet: bool) -> tuple[Dataset, list[str]]:
+    """Open the data set; return it and what there is to say of how it was recognised."""
+    from slam_bof import registry
     from slam_bof.errors import DatasetError
     from slam_bof.ports import LabelledImages
-    from slam_bof.run import run_sequence
 
     name, remarks = config.dataset.name, []
     if name == "auto":
@@ -107,10 +192,7 @@ def _run(
             f"{sequence}: found single images of {name}, expected a sequence; "
             "they are for training and judging scene labels"
         )
-    with FrameBar(dataset.sequence, quiet=quiet) as observer:
-        return run_sequence(
-            dataset, config, out, observer=observer, max_frames=max_frames, remarks=remarks
-        )
+    return dataset, remarks
 
 
 def _show(result: RunResult, *, as_json: bool) -> None:

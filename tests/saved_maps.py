@@ -1,0 +1,107 @@
+"""Keyframes, loops and candidates of random content, and maps of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from slam_bof import se3
+from slam_bof.store import MapStore, Session
+from slam_bof.types import (
+    Bag,
+    Candidate,
+    FramePose,
+    Intrinsics,
+    Keyframe,
+    KeyframeRecord,
+    Loop,
+    Scene,
+    ThinDepth,
+)
+
+CLASSES = ("kitchen", "office")
+CAMERA = Intrinsics(64, 48, 50.0, 50.0, 31.5, 23.5)
+STATE = {"tracker": {}, "detector": {}, "is_around": None}
+
+
+def make_keyframe(id_: int, *, scene: bool = True, session: int = 0) -> Keyframe:
+    rng = np.random.default_rng(id_)
+    words = np.sort(rng.choice(1024, 200, replace=False)).astype(np.int32)
+    weights = rng.random(200).astype(np.float32)
+    p = float(rng.uniform(0.5, 1.0))
+    label = Scene(CLASSES[id_ % 2], p, CLASSES, np.roll([p, 1 - p], id_ % 2))
+    return Keyframe(
+        id_,
+        4 * id_,
+        4 * id_ / 30.0,
+        se3.exp(rng.normal(size=6)),
+        Bag(words, weights / weights.sum()),
+        label if scene else None,
+        id_ // 3,
+        session=session,
+    )
+
+
+def make_loop(query_id: int, match_id: int, kind: str = "loop", source: str = "bag") -> Loop:
+    rng = np.random.default_rng(query_id)
+    A = rng.normal(size=(6, 6))
+    return Loop(query_id, match_id, se3.exp(rng.normal(size=6)), A @ A.T, kind, source)
+
+
+def make_candidate(query_id: int, match_id: int, **fields: object) -> Candidate:
+    figures = {"score": 0.25, "normaliser": 0.5, "eta": 0.5, "overlap": 0.7, "rmse_m": 0.012}
+    known = {"n_consistent": 2, "decision": "accepted", "reason": "overlap 0.70", **figures}
+    return Candidate(query_id, match_id, "bag", **(known | fields))
+
+
+def make_thin(id_: int = 0) -> ThinDepth:
+    depth = np.random.default_rng(id_).integers(500, 4000, (48, 64)).astype(np.uint16)
+    return ThinDepth(depth, 1000, CAMERA)
+
+
+def make_record(
+    keyframe: Keyframe,
+    candidates: Sequence[Candidate] = (),
+    admitted: Sequence[Loop] = (),
+    *,
+    n_frames: int = 4,
+) -> KeyframeRecord:
+    """What a keyframe came to after ``n_frames`` since the one before; all own loops are taken.
+
+    A loop that is no candidate becomes one.
+    """
+    own = tuple(loop for loop in admitted if loop.query_id == keyframe.id)
+    named = {(c.match_id, c.source) for c in candidates}
+    unnamed = [
+        Candidate(loop.query_id, loop.match_id, loop.source, kind=loop.kind, decision="accepted")
+        for loop in own
+        if (loop.match_id, loop.source) not in named
+    ]
+    n = min(n_frames, keyframe.frame_index + 1)
+    T = keyframe.T_odom_camera
+    frames = [
+        FramePose(keyframe.stamp_s - (n - 1 - k) / 30.0, T, T, keyframe.segment) for k in range(n)
+    ]
+    return KeyframeRecord(
+        keyframe,
+        make_thin(keyframe.id),
+        tuple(frames),
+        (*candidates, *unnamed),
+        own,
+        tuple(admitted),
+        STATE,
+    )
+
+
+def save(
+    store: MapStore,
+    keyframe: Keyframe,
+    candidates: Sequence[Candidate] = (),
+    admitted: Sequence[Loop] = (),
+    **more: int,
+) -> None:
+    """Write a keyframe, and the session that it is of if that is new."""
+    if keyframe.session == len(store.sessions()):
+        store.begin_session(Session(keyframe.session, "7scenes", "room/seq-01", "", 0, "1.0"))
+    store.write(make_record(keyframe, candidates, admitted, **more))
