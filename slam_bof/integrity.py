@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from slam_bof.errors import MapError
 from slam_bof.rows import thin_of
 from slam_bof.schema import CHECKED, naming_errors, row_crc
 from slam_bof.store import MapStore
@@ -63,7 +64,7 @@ def check_map(path: Path | str) -> list[Damage]:
                 damaged.add((table, damage.row))
                 found.append(damage)
         with naming_errors(Path(path)):
-            found += [d for d in _check_sense(store) if (d.table, d.row) not in damaged]
+            found += _check_sense(store, damaged)
         return found
 
 
@@ -76,6 +77,7 @@ def _complaints(db: sqlite3.Connection) -> Iterator[str]:
         for row in db.execute("PRAGMA foreign_key_check"):
             yield f"{row['table']}, row {row['rowid']}: names what is not there"
     except sqlite3.DatabaseError as error:
+        _pass_on_bugs(error)
         yield f"file: {error}"
 
 
@@ -84,7 +86,8 @@ def _check_rows(db: sqlite3.Connection, table: str) -> Iterator[Damage]:
     key = CHECKED[table]
     try:
         rows = db.execute(f"SELECT {key} AS key, * FROM {table} ORDER BY rowid").fetchall()
-    except sqlite3.DatabaseError:
+    except sqlite3.DatabaseError as error:
+        _pass_on_bugs(error)
         yield from _check_singly(db, table)
         return
     for row in rows:
@@ -119,24 +122,33 @@ def _is_whole(row: Any) -> bool:
     return bool(row_crc(*values[1:-1]) == values[-1])
 
 
-def _check_sense(store: MapStore) -> Iterator[Damage]:
+def _pass_on_bugs(error: sqlite3.DatabaseError) -> None:
+    """Raise again what is no damage of the file."""
+    if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+        raise error
+
+
+def _check_sense(store: MapStore, damaged: set[tuple[str, int | str]]) -> Iterator[Damage]:
     """Yield what is there but does not fit together."""
     try:
         ids = [row["id"] for row in store.select("SELECT id FROM keyframes ORDER BY id")]
         camera = store.intrinsics()
         views = store.select("SELECT * FROM views")
-    except (sqlite3.DatabaseError, ValueError):
+        sessions = store.sessions()
+    except (MapError, ValueError):
         return  # told of already
     for missing in sorted(set(range(len(ids))) - set(ids)):
         yield Damage("keyframes", missing, "is missing")
     for row in views:
-        if camera is not None and thin_of(row, camera) is None:
+        if ("views", row["keyframe_id"]) in damaged or camera is None:
+            continue
+        if thin_of(row, camera) is None:
             yield Damage("views", row["keyframe_id"], "is no 16-bit PNG")
     if views:  # maps made before version 4 have none
         seen = {row["keyframe_id"] for row in views}
         for id_ in sorted(set(ids) - seen):
             yield Damage("views", id_, "is missing")
-    for session in store.sessions():
+    for session in sessions:
         rows = store.select(
             "SELECT frame_index FROM frames WHERE session = ? ORDER BY frame_index", session.id
         )

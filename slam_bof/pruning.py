@@ -147,9 +147,9 @@ def _settle(store: MapStore, db: sqlite3.Connection) -> None:
     keyframes, T_map_camera = store.keyframes(), store.map_poses()
     for session in store.sessions():
         own = [k for k, keyframe in enumerate(keyframes) if keyframe.session == session.id]
-        if not own:
-            continue
         frames = [replace(frame, T_view_camera=None) for frame in store.frames(session.id)]
+        if not own or not frames:
+            continue
         settled = History(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
         db.executemany(
             "UPDATE frames SET T_odom_camera = ? WHERE session = ? AND frame_index = ?",

@@ -245,12 +245,11 @@ class MapStore(MapFile):
 
     def view(self, keyframe_id: int) -> DepthFrame | None:
         """Return a keyframe's depth image, of which every few pixels are left, if it was kept."""
-        rows = self.select(
-            "SELECT keyframe_id, per_m, depth, stamp_s FROM views"
-            " JOIN keyframes ON keyframes.id = keyframe_id WHERE keyframe_id = ?",
-            keyframe_id,
-        )
-        return thicken(self.thin(rows[0]), rows[0]["stamp_s"]) if rows else None
+        rows = self.checked_rows("views", "WHERE keyframe_id = ?", keyframe_id)
+        if not rows:
+            return None
+        ((stamp_s,),) = self.select("SELECT stamp_s FROM keyframes WHERE id = ?", keyframe_id)
+        return thicken(self.thin(rows[0]), stamp_s)
 
     def loops(self) -> list[Loop]:
         """Return all edges of the graph, in the order they entered it."""

@@ -11,6 +11,7 @@ from typer.core import TyperGroup
 from slam_bof.cli.benching import bench
 from slam_bof.cli.evaluating import evaluate
 from slam_bof.cli.fetching import download, record
+from slam_bof.cli.map_tools import app as map_tools
 from slam_bof.cli.maps import export, report
 from slam_bof.cli.querying import QueryCommand, query
 from slam_bof.cli.running import demo, run
@@ -65,6 +66,7 @@ for command in (
 ):
     app.command(cls=QueryCommand if command is query else None)(command)
 app.add_typer(evaluate, name="evaluate")
+app.add_typer(map_tools, name="map")
 
 
 def main() -> None:
