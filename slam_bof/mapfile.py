@@ -12,6 +12,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from slam_bof.errors import MapError
+from slam_bof.layout import check_layout
 from slam_bof.schema import (
     APPLICATION_ID,
     FOUND,
@@ -77,12 +78,18 @@ class MapFile:
             raise MapError(f"{path}: found {found}, expected a map.db")
         with contextlib.ExitStack() as on_error:
             lock = None if read_only else on_error.enter_context(_WriterLock(path))
-            with naming_errors(path):
+            with naming_errors(path, otherwise=sqlite3.SQLITE_CORRUPT):
                 db = connect(path, "ro" if read_only else "rw")
                 on_error.callback(lambda: db.close())
                 version = _version(db, path)
                 if version != SCHEMA_VERSION:
                     db = upgrade(db, version, in_place=not read_only)
+                wrong = check_layout(db)
+                if wrong:
+                    raise MapError(
+                        f"{path}: found damage in what says how it is read ({wrong}); "
+                        "slam-bof map recover saves what is whole into a new map"
+                    )
                 if not read_only:
                     db.execute("PRAGMA journal_mode = WAL")
             on_error.pop_all()
@@ -154,7 +161,8 @@ class _WriterLock:
     """Held by the one program that writes to a map, as long as it lives: a file beside it."""
 
     def __init__(self, path: Path) -> None:
-        self._file = Path(f"{path}-lock")
+        # By whichever link a program comes, there is one lock.
+        self._file = Path(f"{path.resolve()}-lock")
         while True:
             try:
                 self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)

@@ -238,9 +238,9 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     Transactions are explicit (``BEGIN``); rows can be indexed by column name. One thread at a
     time may use it.
     """
-    uri = f"{path.resolve().as_uri()}?mode={mode}"
-    folder, wal = path.resolve().parent, Path(f"{path}-wal")
-    if mode == "ro" and not wal.exists() and not os.access(folder, os.W_OK):
+    path = path.resolve()
+    uri = f"{path.as_uri()}?mode={mode}"
+    if mode == "ro" and not Path(f"{path}-wal").exists() and not os.access(path.parent, os.W_OK):
         # SQLite wants to put its lock files beside; on read-only media nothing can change.
         uri += "&immutable=1"
     db = sqlite3.connect(
@@ -288,8 +288,11 @@ def columns(db: sqlite3.Connection, table: str) -> list[str]:
 
 
 @contextmanager
-def naming_errors(path: Path) -> Iterator[None]:
+def naming_errors(path: Path, *, otherwise: int | None = None) -> Iterator[None]:
     """Turn what SQLite reports of a file into one line; leave what is a bug alone.
+
+    ``otherwise`` is SQLite's code of what it comes to where SQLite has no more than words: a file
+    may be so damaged that its tables are other ones.
 
     Raises
     ------
@@ -307,6 +310,8 @@ def naming_errors(path: Path) -> Iterator[None]:
         found = FOUND.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)
         if found is None and "Could not decode" in str(error):
             found = FOUND[sqlite3.SQLITE_CORRUPT]  # a flipped byte in a text
+        if found is None and otherwise is not None:
+            found = FOUND[otherwise]
         if found is None:
             raise
         raise MapError(f"{path}: {found}") from error

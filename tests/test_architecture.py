@@ -20,7 +20,7 @@ _ROWS = """
     machines scenes levelled profile shapes network levels labelling
     scene_filter regions scene_map images
     keyframes rankings loops covisibility parts consistency joining verification model single
-    schema upgrades rows mapfile store records writer integrity queries
+    schema layout upgrades rows mapfile store records writer integrity queries
     download_catalogue download_http download_archive download recording realsense
     registry labelled config graph history keyframe_map slam minislam
     mapping pruning recovery merging

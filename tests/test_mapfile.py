@@ -141,13 +141,19 @@ def test_a_damaged_map_is_named(filled: MapStore, tmp_path: Path) -> None:
 
 
 def test_a_second_writer_is_told(filled: MapStore) -> None:
-    for attempt in (lambda: MapStore.open(filled.path, read_only=False), lambda: again(filled)):
+    link = filled.path.with_name("link.db")
+    link.symlink_to(filled.path.name)
+    for attempt in (
+        lambda: MapStore.open(filled.path, read_only=False),
+        lambda: MapStore.open(link, read_only=False),
+        lambda: again(filled),
+    ):
         with pytest.raises(MapError, match="locked by another program") as caught:
             attempt()
         assert "\n" not in str(caught.value)
     filled.close()
-    MapStore.open(filled.path, read_only=False).close()
-    assert os.listdir(filled.path.parent) == ["map.db"]
+    MapStore.open(link, read_only=False).close()
+    assert sorted(os.listdir(filled.path.parent)) == ["link.db", "map.db"]
 
 
 def again(store: MapStore) -> None:
