@@ -22,7 +22,7 @@ _ROWS = """
     keyframes rankings loops covisibility parts consistency joining verification model single
     schema upgrades rows mapfile store records writer integrity queries
     download_catalogue download_http download_archive download recording realsense
-    registry labelled config graph history keyframe_map slam minislam
+    registry labelled config excerpt graph history keyframe_map slam minislam
     mapping pruning recovery merging
     evaluation recognition metrics synthetic testing training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
