@@ -64,9 +64,9 @@ class Session:
     id: int
     dataset: str
     sequence: str
-    config: str
-    seed: int
-    version: str
+    config: str = ""
+    seed: int = 0
+    version: str = ""
     max_frames: int | None = None
     is_finished: bool = False
 
