@@ -1,0 +1,319 @@
+"""Where in a finished map a single depth image was taken, or that it is not known.
+
+Keyframes that look alike propose poses (``recogniser``), and a verifier makes them exact. A pose is
+believed where the keyframes around it, taken together, show nearly all that the image does and
+nothing that contradicts: a wrong pose leaves part of the image unexplained, or in the way. Where
+two places fit, neither is told: rooms may be alike to the millimetre.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from slam_bof import se3
+from slam_bof.agreement import Coverage
+from slam_bof.covisibility import view_overlap
+from slam_bof.native import one_blas_thread
+from slam_bof.ports import ForgettingVerifier, Verifier
+from slam_bof.recogniser import PlaceMatch, PlaceRecogniser, RecogniserParams
+from slam_bof.stack import Stack
+from slam_bof.types import Array, DepthFrame, Params, Pose, Verification
+from slam_bof.views import view_points
+
+__all__ = ["Localization", "LocalizationParams", "Localizer"]
+
+N_OVERLAP_POINTS = 200
+
+
+class LocalizationParams(Params):
+    """What a pose must have for it to be told."""
+
+    n_verified: int = Field(10, gt=0, description="keyframes that look most alike are verified")
+    min_points: int = Field(100, ge=0, description="of the image; with fewer nothing is known")
+    same_m: float = Field(0.15, gt=0, description="poses that differ by less, and ...")
+    same_rad: float = Field(0.1, gt=0, description="... are turned by less, are one place")
+    min_near: float = Field(0.1, gt=0, le=1, description="share of points in a near view")
+    max_range_m: float = Field(8.0, gt=0, description="how far a view reaches")
+    min_compared: float = Field(0.5, ge=0, le=1, description="of points where the map has depth")
+    min_seen: float = Field(0.93, ge=0, le=1, description="of these, that the map has as well")
+    max_blocking: float = Field(0.03, ge=0, le=1, description="of these, before what the map has")
+    max_blocked: float = Field(0.06, ge=0, le=1, description="of the map's, before what is seen")
+    n_refined: int = Field(5, gt=0, description="near keyframes that the pose is the mean of")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Localization:
+    """Where a frame was taken, or why that is not known.
+
+    ``T_map_camera`` is None where it is not, and ``reason`` says why in words, empty if it is.
+    ``keyframe_id`` is the keyframe that matches best, with ``overlap`` and ``rmse_m`` as
+    ``Verification`` has them; ``witness_ids`` are the others that lead to the same pose.
+    """
+
+    T_map_camera: Pose | None = None
+    keyframe_id: int | None = None
+    overlap: float = float("nan")
+    rmse_m: float = float("nan")
+    witness_ids: tuple[int, ...] = ()
+    reason: str = ""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the pose is known."""
+        return self.T_map_camera is not None
+
+
+class _Witness(NamedTuple):
+    """A keyframe that the frame was aligned with, and the pose that it leads to."""
+
+    keyframe_id: int
+    T_map_query: Pose
+    verified: Verification
+
+
+class _Query(NamedTuple):
+    """A frame that asks."""
+
+    view_id: int
+    prepared: Any
+    frame: DepthFrame
+    points_camera: Array
+    """(N, 3), few."""
+
+
+class Localizer:
+    """Holds the keyframes of a finished map, and tells of single frames where they were taken.
+
+    Parameters
+    ----------
+    verifier
+        Aligns frames; best one that can forget (``ports.ForgettingVerifier``), else it keeps what
+        it prepares of each frame that asks.
+    params, recogniser_params
+        What is asked of a pose, and how places are found.
+    gravity_odom
+        (3,) roughly down in the frame of ``T_odom_camera``.
+    seed
+        Of what aligning draws.
+
+    Examples
+    --------
+    >>> localizer = Localizer(verifier)  # doctest: +SKIP
+    >>> for frame, T_map_camera in keyframes:  # doctest: +SKIP
+    ...     localizer.add(frame, T_map_camera)
+    >>> found = localizer.localize(frame)  # doctest: +SKIP
+    >>> print(found.T_map_camera if found.is_known else found.reason)  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        verifier: Verifier,
+        params: LocalizationParams | None = None,
+        *,
+        recogniser_params: RecogniserParams | None = None,
+        gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
+        seed: int = 0,
+    ) -> None:
+        self.params = params or LocalizationParams()
+        self._verifier = verifier
+        self._recogniser = PlaceRecogniser(recogniser_params, gravity_odom=gravity_odom, seed=seed)
+        self._prepared: list[Any] = []
+        self._T_map_camera = Stack((4, 4), np.float64)
+
+    def __len__(self) -> int:
+        """Return the number of keyframes held."""
+        return len(self._prepared)
+
+    def add(self, frame: DepthFrame, T_map_camera: Pose, T_odom_camera: Pose | None = None) -> int:
+        """Hold the next keyframe, and return its id: 0, 1, 2 ...
+
+        Of its depth, every fourth pixel (of 640 in a row) is looked at; others may be missing.
+
+        Parameters
+        ----------
+        frame
+            Of the same camera as those before.
+        T_map_camera
+            (4, 4) its pose in the map.
+        T_odom_camera
+            (4, 4) its pose by odometry, that tells which way was down from one keyframe to the
+            next; without, the map's is taken.
+
+        Raises
+        ------
+        ValueError
+            If the frame is of another camera, or a pose is no rotation and translation.
+        """
+        T_odom_camera = T_map_camera if T_odom_camera is None else T_odom_camera
+        for T in (T_map_camera, T_odom_camera):
+            se3.check_rigid(T)
+        keyframe_id = self._recogniser.add(frame, T_odom_camera)
+        points = view_points(frame).astype(np.float64)
+        self._prepared.append(self._verifier.prepare(frame, points))
+        self._T_map_camera.append(T_map_camera)
+        return keyframe_id
+
+    @one_blas_thread()
+    def localize(
+        self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
+    ) -> Localization:
+        """Return where a frame was taken, by itself; afterwards it is forgotten.
+
+        Parameters
+        ----------
+        frame
+            Of the same camera as the keyframes.
+        gravity_camera
+            (3,) down in its camera frame, if an inertial sensor tells. Without, the camera must
+            be tilted as it was in the keyframes, to within some 40 degrees.
+
+        Raises
+        ------
+        ValueError
+            If the frame is of another camera.
+        """
+        if len(self) == 0:
+            return Localization(reason="the map has no keyframes")
+        points = view_points(frame).astype(np.float64)
+        if len(points) < self.params.min_points:
+            return Localization(reason=f"the image shows too little: {len(points)} points")
+        with self._asking(frame, points, gravity_camera) as query:
+            matches = self._recogniser.recognise(query.view_id, query.view_id)
+            return self._judge(query, matches[: self.params.n_verified])
+
+    @contextmanager
+    def _asking(
+        self, frame: DepthFrame, points: Array, gravity_camera: ArrayLike | None
+    ) -> Iterator[_Query]:
+        few = points[:: max(1, len(points) // N_OVERLAP_POINTS)]
+        with self._recogniser.guest(frame, gravity_camera=gravity_camera) as view_id:
+            prepared = self._verifier.prepare(frame, points)
+            try:
+                yield _Query(view_id, prepared, frame, few)
+            finally:
+                if isinstance(self._verifier, ForgettingVerifier):
+                    self._verifier.forget(prepared)
+
+    def _judge(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:
+        """Verify what recognition found, and tell the one pose that fits the map, if it is one."""
+        ids = [match.view_id for match in matches]
+        witnesses, refused = self._verify(
+            query, ids, np.array([match.T_match_query for match in matches])
+        )
+        if not witnesses:
+            return Localization(reason=f"no keyframe shows the same: the most alike, {refused}")
+        fitting, against = [], ""
+        for place in self._group(witnesses):
+            objection = self._object(query, place[0])
+            if not objection:
+                fitting.append(place)
+            against = against or f"by keyframe {place[0].keyframe_id}, {objection}"
+        if not fitting:
+            return Localization(reason=against)
+        if len(fitting) > 1:
+            a, b = (place[0].keyframe_id for place in fitting[:2])
+            return Localization(reason=f"{len(fitting)} places fit: by keyframes {a} and {b}")
+        (place,) = fitting
+        best = max(place, key=lambda witness: witness.verified.overlap)
+        return Localization(
+            self._refine(query, best.T_map_query),
+            best.keyframe_id,
+            best.verified.overlap,
+            best.verified.rmse_m,
+            tuple(sorted(w.keyframe_id for w in place if w is not best)),
+        )
+
+    def _verify(
+        self, query: _Query, ids: Sequence[int], T_match_query: Array
+    ) -> tuple[list[_Witness], str]:
+        """Return the keyframes that verification accepts, and why it refuses the first it does."""
+        matches = [self._prepared[k] for k in ids]
+        verified = self._verifier.verify(query.prepared, matches, T_match_query=T_match_query)
+        T_map_camera = self._T_map_camera.rows
+        accepted, refused = [], ""
+        for k, verification in zip(ids, verified, strict=True):
+            if verification.accepted:
+                T_map_query = T_map_camera[k] @ verification.T_match_query
+                accepted.append(_Witness(k, T_map_query, verification))
+            else:
+                refused = refused or f"keyframe {k}: {verification.reason}"
+        return accepted, refused
+
+    def _group(self, witnesses: Sequence[_Witness]) -> list[list[_Witness]]:
+        """Return witnesses by place, in the order of the first of each."""
+        places: list[list[_Witness]] = []
+        for witness in witnesses:
+            for place in places:
+                if self._is_same(place[0].T_map_query, witness.T_map_query):
+                    place.append(witness)
+                    break
+            else:
+                places.append([witness])
+        return places
+
+    def _is_same(self, T_map_a: Pose, T_map_b: Pose) -> bool:
+        apart = se3.inverse(T_map_a) @ T_map_b
+        distance_m = float(np.linalg.norm(apart[:3, 3]))
+        angle_rad = float(se3.rotation_angle(apart))
+        return distance_m < self.params.same_m and angle_rad < self.params.same_rad
+
+    def _overlaps(self, query: _Query, T_map_query: Pose) -> Array:
+        """Return the share of the query's points (K,) that fall into each keyframe's view."""
+        return view_overlap(
+            query.points_camera,
+            T_map_query,
+            self._T_map_camera.rows,
+            query.frame.intrinsics,
+            self.params.max_range_m,
+        )
+
+    def _coverage(self, query: _Query, T_map_query: Pose, near: NDArray[np.intp]) -> Coverage:
+        T_near_query = se3.inverse(self._T_map_camera.rows[near]) @ T_map_query
+        return self._recogniser.coverage(query.view_id, near, T_near_query)
+
+    def _object(self, query: _Query, witness: _Witness) -> str:
+        """Return what keyframes around a pose have against it, or nothing."""
+        p = self.params
+        overlaps = self._overlaps(query, witness.T_map_query)
+        near = np.flatnonzero(overlaps >= p.min_near)
+        if len(near) == 0:
+            return "no keyframe is near"
+        found = self._coverage(query, witness.T_map_query, near)
+        if found.compared < p.min_compared:
+            return f"the map shows {found.compared:.2f} of the image, below {p.min_compared:g}"
+        if found.seen < p.min_seen:
+            return f"of the image {found.seen:.2f} is as in the map, below {p.min_seen:g}"
+        if found.blocking > p.max_blocking:
+            return f"{found.blocking:.2f} of the image stands before what the map shows"
+        if found.blocked > p.max_blocked:
+            return f"{found.blocked:.2f} of the map stands before what the image shows"
+        return ""
+
+    def _refine(self, query: _Query, T_map_query: Pose) -> Pose:
+        """Return the mean of what the nearest keyframes make of a pose, by their information."""
+        overlaps = self._overlaps(query, T_map_query)
+        nearest = np.argsort(-overlaps, kind="stable")[: self.params.n_refined]
+        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ T_map_query
+        witnesses, _ = self._verify(query, nearest.tolist(), T_near_query)
+        return _mean(
+            T_map_query, [w for w in witnesses if self._is_same(T_map_query, w.T_map_query)]
+        )
+
+
+def _mean(T_map_query: Pose, witnesses: Sequence[_Witness]) -> Pose:
+    """Return the mean about a pose, weighted by information matrices."""
+    if not witnesses:
+        return T_map_query
+    tangents = se3.log(se3.inverse(T_map_query) @ np.array([w.T_map_query for w in witnesses]))
+    information = np.array([w.verified.information for w in witnesses])
+    mean = np.linalg.solve(
+        information.sum(axis=0), (information @ tangents[..., None]).sum(axis=0)[:, 0]
+    )
+    return np.asarray(T_map_query @ se3.exp(mean))
