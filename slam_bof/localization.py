@@ -123,7 +123,9 @@ class Localizer:
     ) -> None:
         self.params = params or LocalizationParams()
         self._verifier = verifier
-        self._recogniser = PlaceRecogniser(recogniser_params, gravity_odom=gravity_odom, seed=seed)
+        self._recogniser = PlaceRecogniser(
+            recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
+        )
         self._prepared: list[Any] = []
         self._T_map_camera = Stack((4, 4), np.float64)
 
@@ -209,12 +211,12 @@ class Localizer:
         )
         if not witnesses:
             return Localization(reason=f"no keyframe shows the same: the most alike, {refused}")
-        fitting, against = [], ""
-        for place in self._group(witnesses):
-            objection = self._object(query, place[0])
-            if not objection:
-                fitting.append(place)
-            against = against or f"by keyframe {place[0].keyframe_id}, {objection}"
+        places = self._group(witnesses)
+        fitting, against = self._fit(query, places)
+        if not fitting:
+            # One keyframe may be too far to lead to the very place; those around it are nearer.
+            nearer = [w for place in places[:2] for w in self._look_around(query, place[0])]
+            fitting, _ = self._fit(query, self._group(nearer))
         if not fitting:
             return Localization(reason=against)
         if len(fitting) > 1:
@@ -223,7 +225,7 @@ class Localizer:
         (place,) = fitting
         best = max(place, key=lambda witness: witness.verified.overlap)
         return Localization(
-            self._refine(query, best.T_map_query),
+            self._refine(query, best),
             best.keyframe_id,
             best.verified.overlap,
             best.verified.rmse_m,
@@ -296,15 +298,30 @@ class Localizer:
             return f"{found.blocked:.2f} of the map stands before what the image shows"
         return ""
 
-    def _refine(self, query: _Query, T_map_query: Pose) -> Pose:
-        """Return the mean of what the nearest keyframes make of a pose, by their information."""
-        overlaps = self._overlaps(query, T_map_query)
+    def _fit(
+        self, query: _Query, places: Sequence[list[_Witness]]
+    ) -> tuple[list[list[_Witness]], str]:
+        """Return the places that the map has nothing against, and what it has against the first."""
+        fitting, against = [], ""
+        for place in places:
+            objection = self._object(query, place[0])
+            if not objection:
+                fitting.append(place)
+            against = against or f"by keyframe {place[0].keyframe_id}, {objection}"
+        return fitting, against
+
+    def _look_around(self, query: _Query, witness: _Witness) -> list[_Witness]:
+        """Return what the keyframes nearest to a pose make of it."""
+        overlaps = self._overlaps(query, witness.T_map_query)
         nearest = np.argsort(-overlaps, kind="stable")[: self.params.n_refined]
-        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ T_map_query
-        witnesses, _ = self._verify(query, nearest.tolist(), T_near_query)
-        return _mean(
-            T_map_query, [w for w in witnesses if self._is_same(T_map_query, w.T_map_query)]
-        )
+        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ witness.T_map_query
+        return self._verify(query, nearest.tolist(), T_near_query)[0]
+
+    def _refine(self, query: _Query, best: _Witness) -> Pose:
+        """Return the mean of what the nearest keyframes make of a pose, by their information."""
+        around = self._look_around(query, best)
+        T = best.T_map_query
+        return _mean(T, [w for w in around if self._is_same(T, w.T_map_query)])
 
 
 def _mean(T_map_query: Pose, witnesses: Sequence[_Witness]) -> Pose:

@@ -89,6 +89,8 @@ class PlaceRecogniser:
         (3,) roughly down in the odometry's frame, as ``GravityTracker`` has it.
     seed
         Of the points and the poses that alignment draws.
+    never_lost
+        Whether the poses are known to be right, as ``GravityTracker`` has it.
 
     Examples
     --------
@@ -105,9 +107,10 @@ class PlaceRecogniser:
         *,
         gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
         seed: int = 0,
+        never_lost: bool = False,
     ) -> None:
         self.params = params or RecogniserParams()
-        self._gravity = GravityTracker(gravity_odom)
+        self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
         self._panorama, self._slices = Panorama(), Slices()
         self._searched: list[int] = []  # views, of which the next two have a row each
         self._panoramas = Stack(self._panorama.shape, np.complex64)
@@ -150,7 +153,7 @@ class PlaceRecogniser:
         if gravity_camera is None:
             # Who looked down at a table most of the time does so again.
             usual = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
-            tracker = GravityTracker(usual)
+            tracker = GravityTracker(usual, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
         view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
         before, self._before = self._before, (0, [])
