@@ -76,7 +76,8 @@ def agreement(
     tolerance: tuple[float, float],
 ) -> Agreement:
     """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
-    out, back = _both_ways(views, query, matches, T_match_query, tolerance)
+    points = views.sampled(query), views.sampled(matches)
+    out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
     seen, blocking, compared = (told.mean(axis=1) for told in out)
     seen_back, blocking_back, compared_back = (told.mean(axis=1) for told in back)
     return Agreement(
@@ -95,9 +96,11 @@ def coverage(
 ) -> Coverage:
     """Measure how far the query agrees with all matches (n,) together, at poses (n, 4, 4).
 
-    What one of them does not see, as it is hidden from there, another may.
+    What one of them does not see, as it is hidden from there, another may. Only points on surfaces
+    are looked at: at edges sensors err.
     """
-    out, back = _both_ways(views, query, matches, T_match_query, tolerance)
+    points = views.surface_points(query), views.surface_points(matches)
+    out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
     n_seen, n_blocking, n_known = (told.sum(axis=0) for told in out)
     compared = float((n_known > 0).mean())
     n_compared = max(int((n_known > 0).sum()), 1)
@@ -115,12 +118,14 @@ def _both_ways(
     matches: Indices,
     T_match_query: Array,
     tolerance: tuple[float, float],
+    points: tuple[Floats, Floats],
 ) -> tuple[Told, Told]:
     """Return what the matches tell of the query's points, and what it tells of theirs."""
+    own, theirs = points
     T = T_match_query.astype(np.float32)
     back = se3.inverse(T_match_query).astype(np.float32)
     asked = np.full(len(matches), query)
     return (
-        tell(views, views.sampled(query), matches, T, tolerance),
-        tell(views, views.sampled(matches), asked, back, tolerance),
+        tell(views, own, matches, T, tolerance),
+        tell(views, theirs, asked, back, tolerance),
     )

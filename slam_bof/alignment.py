@@ -111,6 +111,10 @@ class ViewAligner:
         """Return the points (N, 3) of a view."""
         return self._views.points_camera(view_id)
 
+    def sampled(self, view_id: int, n_points: int) -> Array:
+        """Return ``n_points`` points (n, 3) of a view, ``params.n_points`` at most."""
+        return self._views.sampled(view_id, n_points).astype(np.float64)
+
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
         return self.refine(query, matches, self._search(query, matches, starts.astype(np.float32)))

@@ -188,6 +188,10 @@ class PlaceRecogniser:
         """Measure how far a view agrees with others (n,) at poses (n, 4, 4)."""
         return self._aligner.agreement(view_id, match_ids, T_match_query)
 
+    def points_camera(self, view_id: int, n_points: int) -> Array:
+        """Return ``n_points`` points (n, 3) of a view, some twice where it has fewer."""
+        return self._aligner.sampled(view_id, n_points)
+
     def coverage(
         self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
     ) -> Coverage:
