@@ -18,18 +18,15 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from slam_bof import se3
-from slam_bof.agreement import Coverage
-from slam_bof.covisibility import view_overlap
+from slam_bof.fitting import FitParams, KnownView, MapFit
 from slam_bof.native import one_blas_thread
 from slam_bof.ports import ForgettingVerifier, Verifier
 from slam_bof.recogniser import PlaceMatch, PlaceRecogniser, RecogniserParams
 from slam_bof.stack import Stack
-from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Pose, Verification
+from slam_bof.types import Array, DepthFrame, Params, Pose, Verification
 from slam_bof.views import view_points
 
 __all__ = ["Localization", "LocalizationParams", "Localizer"]
-
-N_OVERLAP_POINTS = 200
 
 
 class LocalizationParams(Params):
@@ -39,19 +36,8 @@ class LocalizationParams(Params):
     min_points: int = Field(100, ge=0, description="of the image; with fewer nothing is known")
     same_m: float = Field(0.15, gt=0, description="poses that differ by less, and ...")
     same_rad: float = Field(0.1, gt=0, description="... are turned by less, are one place")
-    min_near: float = Field(0.1, gt=0, le=1, description="share of points in a near view")
-    max_range_m: float = Field(8.0, gt=0, description="how far a view reaches")
-    max_near: int = Field(40, gt=0, description="near views that a pose is checked by")
-    min_compared: float = Field(0.5, ge=0, le=1, description="of points where the map has depth")
-    max_unseen: float = Field(0.05, ge=0, le=1, description="of these, that the map has elsewhere")
-    max_blocking: float = Field(0.03, ge=0, le=1, description="of these, before what the map has")
-    max_blocked: float = Field(0.03, ge=0, le=1, description="of the map's, before what is seen")
-    noise_factor: float = Field(
-        1.5, ge=0, description="the map's own keyframes' shares are added to these so many times"
-    )
-    max_share: float = Field(0.2, ge=0, le=1, description="but none may exceed this")
-    n_usual: int = Field(50, gt=0, description="keyframes that tell these shares")
     n_refined: int = Field(5, gt=0, description="near keyframes that the pose is the mean of")
+    fit: FitParams = FitParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,19 +70,10 @@ class _Witness(NamedTuple):
     verified: Verification
 
 
-class _View(NamedTuple):
-    """A keyframe, or a frame that asks, as the recogniser knows it."""
-
-    view_id: int
-    points_camera: Array
-    """(N, 3), few."""
-    camera: Intrinsics
-
-
 class _Query(NamedTuple):
     """A frame that asks, also as the verifier knows it."""
 
-    view: _View
+    view: KnownView
     prepared: Any
 
 
@@ -140,7 +117,7 @@ class Localizer:
         )
         self._prepared: list[Any] = []
         self._T_map_camera = Stack((4, 4), np.float64)
-        self._limits: Coverage | None = None
+        self._map = MapFit(self._recogniser, self._T_map_camera, self.params.fit)
 
     def __len__(self) -> int:
         """Return the number of keyframes held."""
@@ -173,7 +150,6 @@ class Localizer:
         points = view_points(frame).astype(np.float64)
         self._prepared.append(self._verifier.prepare(frame, points))
         self._T_map_camera.append(T_map_camera)
-        self._limits = None
         return keyframe_id
 
     @one_blas_thread()
@@ -208,11 +184,10 @@ class Localizer:
     def _asking(
         self, frame: DepthFrame, points: Array, gravity_camera: ArrayLike | None
     ) -> Iterator[_Query]:
-        few = points[:: max(1, len(points) // N_OVERLAP_POINTS)]
         with self._recogniser.guest(frame, gravity_camera=gravity_camera) as view_id:
             prepared = self._verifier.prepare(frame, points)
             try:
-                yield _Query(_View(view_id, few, frame.intrinsics), prepared)
+                yield _Query(self._map.known_view(view_id, frame.intrinsics), prepared)
             finally:
                 if isinstance(self._verifier, ForgettingVerifier):
                     self._verifier.forget(prepared)
@@ -280,73 +255,13 @@ class Localizer:
         angle_rad = float(se3.rotation_angle(apart))
         return distance_m < self.params.same_m and angle_rad < self.params.same_rad
 
-    def _overlaps(self, view: _View, T_map_view: Pose) -> Array:
-        """Return the share of a view's points (K,) that fall into each keyframe's view."""
-        T_map_camera, far_m = self._T_map_camera.rows, self.params.max_range_m
-        return view_overlap(view.points_camera, T_map_view, T_map_camera, view.camera, far_m)
-
-    def _coverage(self, view: _View, T_map_view: Pose) -> Coverage | None:
-        """Return how far a view agrees with the keyframes near a pose; None where none is."""
-        overlaps = self._overlaps(view, T_map_view)
-        if view.view_id < len(overlaps):
-            overlaps[view.view_id] = 0.0
-        near = np.argsort(-overlaps, kind="stable")[: self.params.max_near]
-        near = near[overlaps[near] >= self.params.min_near]
-        if len(near) == 0:
-            return None
-        T_near_view = se3.inverse(self._T_map_camera.rows[near]) @ T_map_view
-        return self._recogniser.coverage(view.view_id, near, T_near_view)
-
-    def _bounds(self, camera: Intrinsics) -> Coverage:
-        """Return the least that a pose needs, and the most it may have, against it.
-
-        Sensors differ, and maps: what the keyframes come to, each by those near it, is no objection.
-        """
-        if self._limits is not None:
-            return self._limits
-        p = self.params
-        some = np.unique(np.linspace(0, len(self) - 1, p.n_usual).astype(int))
-        found = []
-        for k in some.tolist():
-            view = _View(k, self._recogniser.points_camera(k, N_OVERLAP_POINTS), camera)
-            coverage = self._coverage(view, self._T_map_camera.rows[k])
-            if coverage is not None and coverage.compared >= p.min_compared:
-                found.append(coverage)
-        usual = np.median(found, axis=0) if found else np.array([1.0, 1.0, 0.0, 0.0])
-        unseen, blocking, blocked = (
-            p.noise_factor * (usual[1:] - (1.0, 0.0, 0.0)) * (-1.0, 1.0, 1.0)
-        )
-        self._limits = Coverage(
-            p.min_compared,
-            1.0 - min(p.max_unseen + unseen, p.max_share),
-            min(p.max_blocking + blocking, p.max_share),
-            min(p.max_blocked + blocked, p.max_share),
-        )
-        return self._limits
-
-    def _object(self, query: _Query, witness: _Witness) -> str:
-        """Return what keyframes around a pose have against it, or nothing."""
-        found = self._coverage(query.view, witness.T_map_query)
-        if found is None:
-            return "no keyframe is near"
-        limits = self._bounds(query.view.camera)
-        for share, limit, what in (
-            (found.compared, limits.compared, "of the image the map shows {}, below {}"),
-            (found.seen, limits.seen, "of the image {} is as in the map, below {}"),
-            (-found.blocking, -limits.blocking, "of the image {} is before the map's, above {}"),
-            (-found.blocked, -limits.blocked, "of the map {} is before the image's, above {}"),
-        ):
-            if share < limit:
-                return what.format(f"{abs(share):.2f}", f"{abs(limit):.2f}")
-        return ""
-
     def _fit(
         self, query: _Query, places: Sequence[list[_Witness]]
     ) -> tuple[list[list[_Witness]], str]:
         """Return the places that the map has nothing against, and what it has against the first."""
         fitting, against = [], ""
         for place in places:
-            objection = self._object(query, place[0])
+            objection = self._map.object(query.view, place[0].T_map_query)
             if not objection:
                 fitting.append(place)
             against = against or f"by keyframe {place[0].keyframe_id}, {objection}"
@@ -354,8 +269,7 @@ class Localizer:
 
     def _look_around(self, query: _Query, witness: _Witness) -> list[_Witness]:
         """Return what the keyframes nearest to a pose make of it."""
-        overlaps = self._overlaps(query.view, witness.T_map_query)
-        nearest = np.argsort(-overlaps, kind="stable")[: self.params.n_refined]
+        nearest = self._map.nearest(query.view, witness.T_map_query, self.params.n_refined)
         T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ witness.T_map_query
         return self._verify(query, nearest.tolist(), T_near_query)[0]
 
