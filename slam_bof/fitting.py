@@ -72,12 +72,17 @@ class MapFit:
         """Return a view that the recogniser holds."""
         return KnownView(view_id, self._recogniser.points_camera(view_id, N_POINTS), camera)
 
-    def nearest(self, view: KnownView, T_map_view: Pose, n: int) -> NDArray[np.intp]:
-        """Return up to n keyframes, other than the view, that look at most of what it shows."""
+    def overlaps(self, view: KnownView, T_map_view: Pose) -> Array:
+        """Return the share of a view's points (K,) that fall into each keyframe but itself."""
         T_map_camera, far_m = self._T_map_camera.rows, self.params.max_range_m
         overlaps = view_overlap(view.points_camera, T_map_view, T_map_camera, view.camera, far_m)
         if view.view_id < len(overlaps):
             overlaps[view.view_id] = 0.0
+        return overlaps
+
+    def nearest(self, view: KnownView, T_map_view: Pose, n: int) -> NDArray[np.intp]:
+        """Return up to n keyframes, other than the view, that look at most of what it shows."""
+        overlaps = self.overlaps(view, T_map_view)
         near = np.argsort(-overlaps, kind="stable")[:n]
         return near[overlaps[near] >= self.params.min_near]
 
@@ -111,6 +116,14 @@ class MapFit:
             if share < limit:
                 return words.format(f"{abs(share):.3f}", f"{abs(limit):.3f}")
         return ""
+
+    def contradict(self, view: KnownView, T_map_view: Pose) -> bool:
+        """Tell whether a view cannot be there, be that place mapped or not."""
+        found = self.coverage(view, T_map_view)
+        if found is None:
+            return False
+        limits = self.limits(view.camera)
+        return found.blocking > limits.blocking or found.blocked > limits.blocked
 
     def _measure_limits(self, camera: Intrinsics) -> Coverage:
         p = self.params

@@ -8,8 +8,7 @@ two places fit, neither is told: rooms may be alike to the millimetre.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,13 +17,15 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from slam_bof import se3
+from slam_bof.aliases import Aliases, AliasParams
 from slam_bof.fitting import FitParams, KnownView, MapFit
 from slam_bof.native import one_blas_thread
-from slam_bof.ports import ForgettingVerifier, Verifier
+from slam_bof.ports import Verifier
 from slam_bof.recogniser import PlaceMatch, PlaceRecogniser, RecogniserParams
 from slam_bof.stack import Stack
-from slam_bof.types import Array, DepthFrame, Params, Pose, Verification
+from slam_bof.types import DepthFrame, Params, Pose
 from slam_bof.views import view_points
+from slam_bof.witnesses import Witness, WitnessStand, are_near, group_witnesses, mean_pose
 
 __all__ = ["Localization", "LocalizationParams", "Localizer"]
 
@@ -36,8 +37,11 @@ class LocalizationParams(Params):
     min_points: int = Field(100, ge=0, description="of the image; with fewer nothing is known")
     same_m: float = Field(0.15, gt=0, description="poses that differ by less, and ...")
     same_rad: float = Field(0.1, gt=0, description="... are turned by less, are one place")
+    apart_m: float = Field(0.25, gt=0, description="poses that differ by more, or ...")
+    apart_rad: float = Field(0.17, gt=0, description="... are turned by more, are two places")
     n_refined: int = Field(5, gt=0, description="near keyframes that the pose is the mean of")
     fit: FitParams = FitParams()
+    aliases: AliasParams = AliasParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,14 +64,6 @@ class Localization:
     def is_known(self) -> bool:
         """Whether the pose is known."""
         return self.T_map_camera is not None
-
-
-class _Witness(NamedTuple):
-    """A keyframe that the frame was aligned with, and the pose that it leads to."""
-
-    keyframe_id: int
-    T_map_query: Pose
-    verified: Verification
 
 
 class _Query(NamedTuple):
@@ -111,17 +107,19 @@ class Localizer:
         seed: int = 0,
     ) -> None:
         self.params = params or LocalizationParams()
-        self._verifier = verifier
         self._recogniser = PlaceRecogniser(
             recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
         )
-        self._prepared: list[Any] = []
         self._T_map_camera = Stack((4, 4), np.float64)
+        self._stand = WitnessStand(verifier, self._T_map_camera)
         self._map = MapFit(self._recogniser, self._T_map_camera, self.params.fit)
+        self._aliases = Aliases(
+            self._recogniser, self._stand, self._map, self._T_map_camera, self.params.aliases
+        )
 
     def __len__(self) -> int:
         """Return the number of keyframes held."""
-        return len(self._prepared)
+        return len(self._T_map_camera)
 
     def add(self, frame: DepthFrame, T_map_camera: Pose, T_odom_camera: Pose | None = None) -> int:
         """Hold the next keyframe, and return its id: 0, 1, 2 ...
@@ -147,8 +145,7 @@ class Localizer:
         for T in (T_map_camera, T_odom_camera):
             se3.check_rigid(T)
         keyframe_id = self._recogniser.add(frame, T_odom_camera)
-        points = view_points(frame).astype(np.float64)
-        self._prepared.append(self._verifier.prepare(frame, points))
+        self._stand.add(frame)
         self._T_map_camera.append(T_map_camera)
         return keyframe_id
 
@@ -173,39 +170,31 @@ class Localizer:
         """
         if len(self) == 0:
             return Localization(reason="the map has no keyframes")
-        points = view_points(frame).astype(np.float64)
-        if len(points) < self.params.min_points:
-            return Localization(reason=f"the image shows too little: {len(points)} points")
-        with self._asking(frame, points, gravity_camera) as query:
-            matches = self._recogniser.recognise(query.view.view_id, len(self))
+        n_points = len(view_points(frame))
+        if n_points < self.params.min_points:
+            return Localization(reason=f"the image shows too little: {n_points} points")
+        with (
+            self._recogniser.guest(frame, gravity_camera=gravity_camera) as view_id,
+            self._stand.guest(frame) as prepared,
+        ):
+            query = _Query(self._map.known_view(view_id, frame.intrinsics), prepared)
+            matches = self._recogniser.recognise_alone(view_id, len(self))
             return self._judge(query, matches[: self.params.n_verified])
-
-    @contextmanager
-    def _asking(
-        self, frame: DepthFrame, points: Array, gravity_camera: ArrayLike | None
-    ) -> Iterator[_Query]:
-        with self._recogniser.guest(frame, gravity_camera=gravity_camera) as view_id:
-            prepared = self._verifier.prepare(frame, points)
-            try:
-                yield _Query(self._map.known_view(view_id, frame.intrinsics), prepared)
-            finally:
-                if isinstance(self._verifier, ForgettingVerifier):
-                    self._verifier.forget(prepared)
 
     def _judge(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:
         """Verify what recognition found, and tell the one pose that fits the map, if it is one."""
+        p = self.params
         ids = [match.view_id for match in matches]
-        witnesses, refused = self._verify(
-            query, ids, np.array([match.T_match_query for match in matches])
-        )
+        guesses = np.array([match.T_match_query for match in matches])
+        witnesses, refused = self._stand.hear(query.prepared, ids, guesses)
         if not witnesses:
             return Localization(reason=f"no keyframe shows the same: the most alike, {refused}")
-        places = self._group(witnesses)
+        places = group_witnesses(witnesses, p.same_m, p.same_rad)
         fitting, against = self._fit(query, places)
         if not fitting:
             # One keyframe may be too far to lead to the very place; those around it are nearer.
             nearer = [w for place in places[:2] for w in self._look_around(query, place[0])]
-            fitting, _ = self._fit(query, self._group(nearer))
+            fitting, _ = self._fit(query, group_witnesses(nearer, p.same_m, p.same_rad))
         if not fitting:
             return Localization(reason=against)
         if len(fitting) > 1:
@@ -213,6 +202,9 @@ class Localizer:
             return Localization(reason=f"{len(fitting)} places fit: by keyframes {a} and {b}")
         (place,) = fitting
         best = max(place, key=lambda witness: witness.verified.overlap)
+        elsewhere = self._aliases.object(query.view, best.T_map_view)
+        if elsewhere:
+            return Localization(reason=elsewhere)
         return Localization(
             self._refine(query, best),
             best.keyframe_id,
@@ -221,72 +213,32 @@ class Localizer:
             tuple(sorted(w.keyframe_id for w in place if w is not best)),
         )
 
-    def _verify(
-        self, query: _Query, ids: Sequence[int], T_match_query: Array
-    ) -> tuple[list[_Witness], str]:
-        """Return the keyframes that verification accepts, and why it refuses the first it does."""
-        matches = [self._prepared[k] for k in ids]
-        verified = self._verifier.verify(query.prepared, matches, T_match_query=T_match_query)
-        T_map_camera = self._T_map_camera.rows
-        accepted, refused = [], ""
-        for k, verification in zip(ids, verified, strict=True):
-            if verification.accepted:
-                T_map_query = T_map_camera[k] @ verification.T_match_query
-                accepted.append(_Witness(k, T_map_query, verification))
-            else:
-                refused = refused or f"keyframe {k}: {verification.reason}"
-        return accepted, refused
-
-    def _group(self, witnesses: Sequence[_Witness]) -> list[list[_Witness]]:
-        """Return witnesses by place, in the order of the first of each."""
-        places: list[list[_Witness]] = []
-        for witness in witnesses:
-            for place in places:
-                if self._is_same(place[0].T_map_query, witness.T_map_query):
-                    place.append(witness)
-                    break
-            else:
-                places.append([witness])
-        return places
-
-    def _is_same(self, T_map_a: Pose, T_map_b: Pose) -> bool:
-        apart = se3.inverse(T_map_a) @ T_map_b
-        distance_m = float(np.linalg.norm(apart[:3, 3]))
-        angle_rad = float(se3.rotation_angle(apart))
-        return distance_m < self.params.same_m and angle_rad < self.params.same_rad
-
     def _fit(
-        self, query: _Query, places: Sequence[list[_Witness]]
-    ) -> tuple[list[list[_Witness]], str]:
+        self, query: _Query, places: Sequence[list[Witness]]
+    ) -> tuple[list[list[Witness]], str]:
         """Return the places that the map has nothing against, and what it has against the first."""
-        fitting, against = [], ""
+        p = self.params
+        fitting: list[list[Witness]] = []
+        against = ""
         for place in places:
-            objection = self._map.object(query.view, place[0].T_map_query)
-            if not objection:
-                fitting.append(place)
+            T = place[0].T_map_view
+            objection = self._map.object(query.view, T)
             against = against or f"by keyframe {place[0].keyframe_id}, {objection}"
+            if objection or any(
+                are_near(T, other[0].T_map_view, p.apart_m, p.apart_rad) for other in fitting
+            ):
+                continue
+            fitting.append(place)
         return fitting, against
 
-    def _look_around(self, query: _Query, witness: _Witness) -> list[_Witness]:
+    def _look_around(self, query: _Query, witness: Witness) -> list[Witness]:
         """Return what the keyframes nearest to a pose make of it."""
-        nearest = self._map.nearest(query.view, witness.T_map_query, self.params.n_refined)
-        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ witness.T_map_query
-        return self._verify(query, nearest.tolist(), T_near_query)[0]
+        nearest = self._map.nearest(query.view, witness.T_map_view, self.params.n_refined)
+        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ witness.T_map_view
+        return self._stand.hear(query.prepared, nearest.tolist(), T_near_query)[0]
 
-    def _refine(self, query: _Query, best: _Witness) -> Pose:
-        """Return the mean of what the nearest keyframes make of a pose, by their information."""
+    def _refine(self, query: _Query, best: Witness) -> Pose:
+        """Return the mean of what the nearest keyframes make of a pose."""
+        p, T = self.params, best.T_map_view
         around = self._look_around(query, best)
-        T = best.T_map_query
-        return _mean(T, [w for w in around if self._is_same(T, w.T_map_query)])
-
-
-def _mean(T_map_query: Pose, witnesses: Sequence[_Witness]) -> Pose:
-    """Return the mean about a pose, weighted by information matrices."""
-    if not witnesses:
-        return T_map_query
-    tangents = se3.log(se3.inverse(T_map_query) @ np.array([w.T_map_query for w in witnesses]))
-    information = np.array([w.verified.information for w in witnesses])
-    mean = np.linalg.solve(
-        information.sum(axis=0), (information @ tangents[..., None]).sum(axis=0)[:, 0]
-    )
-    return np.asarray(T_map_query @ se3.exp(mean))
+        return mean_pose(T, [w for w in around if are_near(T, w.T_map_view, p.same_m, p.same_rad)])

@@ -134,8 +134,8 @@ class PlaceRecogniser:
     def guest(self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None) -> Iterator[int]:
         """Remember a view of which no odometry tells, and forget it when the block ends.
 
-        The block may ask with the id that it is given, and what it asks follows nothing. Views
-        must not be added within.
+        The block may ask with the id that it is given (``recognise_alone``), and must not add
+        views.
 
         Parameters
         ----------
@@ -156,11 +156,9 @@ class PlaceRecogniser:
             tracker = GravityTracker(usual, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
         view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
-        before, self._before = self._before, (0, [])
         try:
             yield view_id
         finally:
-            self._before = before
             self._searched.pop()
             for stack in (self._panoramas, self._plans):
                 stack.truncate(len(self._searched))
@@ -202,11 +200,20 @@ class PlaceRecogniser:
         """Return the first ``n_views`` views that may show what this one does, best first."""
         return self.rank(view_id, self.retrieve(view_id, n_views))
 
-    @one_blas_thread()
-    def retrieve(self, view_id: int, n_views: int) -> Shortlist:
-        """Return which of the first ``n_views`` views look alike, unaligned.
+    def recognise_alone(
+        self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
+    ) -> list[PlaceMatch]:
+        """Return what ``recognise`` does, ``but`` for some views, following no earlier matches."""
+        shortlist = self.retrieve(view_id, n_views, but=but)
+        return self._rank(view_id, shortlist.view_ids, shortlist.starts)
 
-        Those set aside have a score of -1. The view that asks must not be one of them.
+    @one_blas_thread()
+    def retrieve(
+        self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
+    ) -> Shortlist:
+        """Return which of the first ``n_views`` views, ``but`` for some, look alike, unaligned.
+
+        Those left out or set aside have a score of -1. The view that asks must not be set aside.
         """
         p = self.params
         n = bisect_left(self._searched, n_views)
@@ -217,7 +224,10 @@ class PlaceRecogniser:
         turned = self._slices.spectra(self._points_level(view_id))
         alike_plans, T_plan = self._slices.compare(self._plans.rows[some], turned)
         alike[some] += np.float32(p.plan_weight) * alike_plans
+        left_out = np.isin(searched, [] if but is None else but)
+        alike[left_out] = -1.0
         best = np.argsort(-alike[some], kind="stable")[: p.n_aligned]
+        best = best[~left_out[some[best]]]
         view_ids = searched[some[best]]
         R = self._R_level_camera.rows
         T_level_query, T_match_level = np.eye(4), np.tile(np.eye(4), (len(best), 1, 1))
@@ -236,17 +246,21 @@ class PlaceRecogniser:
         They are followed to the view that is ranked next.
         """
         ids, starts = self._follow(view_id, shortlist)
+        matches = self._rank(view_id, ids, starts)
+        if matches:
+            self._before = (view_id, matches[: self.params.n_followed])
+        return matches
+
+    def _rank(self, view_id: int, ids: NDArray[np.intp], starts: Array) -> list[PlaceMatch]:
         if len(ids) == 0:
             return []
         T = self._aligner.align(view_id, ids, starts)
         seen, blocking, _ = self._aligner.agreement(view_id, ids, T)
         scores = self._score(T, seen - blocking)
-        matches = [
+        return [
             PlaceMatch(int(ids[k]), float(scores[k]), T[k], float(seen[k]), float(blocking[k]))
             for k in np.argsort(-scores, kind="stable")
         ]
-        self._before = (view_id, matches[: self.params.n_followed])
-        return matches
 
     def _follow(self, view_id: int, shortlist: Shortlist) -> tuple[NDArray[np.intp], Array]:
         """Return ``n_aligned`` views and their starts: listed, and what the last matches lead to.

@@ -19,7 +19,8 @@ _ROWS = """
     gravity clouds live views viewstack spectra panorama slices agreement alignment
     recogniser tracking machines scenes levelled profile shapes network levels labelling
     scene_filter regions scene_map images
-    keyframes loops covisibility parts consistency joining verification fitting localization
+    keyframes loops covisibility parts consistency joining verification fitting
+    witnesses aliases localization
     model single
     schema rows store queries
     download_catalogue download_http download_archive download recording realsense
