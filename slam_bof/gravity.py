@@ -41,11 +41,17 @@ class GravityTracker:
     gravity_odom
         (3,) direction down in the odometry's frame, known to within some 40 degrees. Where the
         first camera is held about upright and is the odometry's frame, that is (0, 1, 0).
+    never_lost
+        Whether poses are known to be right, as those of a finished map are. No view is then taken
+        by itself, which for one that looks down steeply may be a mistake.
     """
 
-    def __init__(self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)) -> None:
+    def __init__(
+        self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0), *, never_lost: bool = False
+    ) -> None:
         gravity = np.asarray(gravity_odom, dtype=np.float64)
         self._gravity_odom = gravity / np.linalg.norm(gravity)
+        self._lost_margin = np.inf if never_lost else LOST_MARGIN
         self._normals_odom: deque[Array] = deque(maxlen=N_VIEWS)
 
     def update(self, normals_camera: NDArray[np.floating], T_odom_camera: Pose) -> Array:
@@ -59,7 +65,10 @@ class GravityTracker:
             joined = np.concatenate(self._normals_odom)
             self._gravity_odom = _fit(joined, self._gravity_odom, gates)
             afresh = _fit(seen_odom, R[:, 1], FIRST_GATES_RAD)
-            if _share(seen_odom, afresh) > _share(seen_odom, self._gravity_odom) + LOST_MARGIN:
+            if (
+                _share(seen_odom, afresh)
+                > _share(seen_odom, self._gravity_odom) + self._lost_margin
+            ):
                 self._normals_odom.clear()
                 self._normals_odom.append(seen_odom)
                 self._gravity_odom = afresh

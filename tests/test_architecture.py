@@ -16,14 +16,17 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
-    views gravity clouds live viewstack spectra panorama slices alignment recogniser tracking
+    views gravity clouds live viewstack spectra panorama slices agreement alignment
+    recogniser tracking
     machines scenes levelled profile shapes network levels labelling
     scene_filter regions scene_map images
-    keyframes rankings loops covisibility parts consistency joining verification model single
+    keyframes rankings loops covisibility parts consistency joining verification
+    fitting witnesses aliases localization
+    model single
     schema upgrades rows mapfile store records writer integrity queries
     download_catalogue download_http download_archive download recording realsense
     registry labelled config excerpt graph history keyframe_map slam minislam
-    mapping pruning recovery merging
+    mapping pruning recovery merging relocating
     evaluation recognition metrics synthetic testing training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
     scene_training
