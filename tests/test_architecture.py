@@ -27,7 +27,7 @@ _ROWS = """
     download_catalogue download_http download_archive download recording realsense
     registry labelled config excerpt graph history keyframe_map slam minislam
     mapping pruning recovery merging relocating
-    evaluation recognition metrics synthetic testing training bench retrieval
+    evaluation pose_accuracy recognition metrics synthetic testing training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
     scene_training
     figures scene_figures matrices page misses scene_page report runs run_folder run cli

@@ -2,18 +2,23 @@
 
 import json
 import shutil
+from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from slam_bof import LoopCloser, registry, se3
+from slam_bof.cli import app
 from slam_bof.config import override, preset
-from slam_bof.errors import MapError
+from slam_bof.errors import DatasetError, MapError
 from slam_bof.evaluation import ate
 from slam_bof.integrity import check_map
 from slam_bof.merging import merge_maps
 from slam_bof.pruning import parts_of, prune_map, redundant
 from slam_bof.records import read_records
+from slam_bof.relocating import MapLocalizer
 from slam_bof.run import run_sequence
 from slam_bof.runs import read_run
 from slam_bof.store import MapStore
@@ -149,3 +154,44 @@ def test_a_session_can_be_dropped(joined, tmp_path):
         assert {k.session for k in store.keyframes()} == {0}
         assert store.frames(1) == []
     assert check_map(map_file) == []
+
+
+def test_the_map_says_where_a_frame_was_taken(joined, sequences):
+    map_file, runs = joined
+    places = MapLocalizer.open(map_file)
+    frame = sequences[0].frame(21)
+    located = places.localize(frame)
+    assert located.found.is_known, located.found.reason
+    truth = read_run(runs[0].folder).optimized.poses[21]
+    off = se3.inverse(truth) @ located.found.T_map_camera
+    assert np.linalg.norm(off[:3, 3]) < 0.05
+    assert located.keyframe is not None
+    assert located.room == (located.keyframe.smoothed or located.keyframe.scene).label
+    blank = replace(frame, depth=np.zeros_like(frame.depth))
+    assert not places.localize(blank).found.is_known
+    other = replace(frame, intrinsics=replace(frame.intrinsics, fx=500.0))
+    with pytest.raises(DatasetError, match="expected one of the map's camera"):
+        places.localize(other)
+
+
+def test_localize_by_the_command_line(joined, sequences, tmp_path):
+    map_file, _ = joined
+    folder = tmp_path / "room" / "seq-01"
+    write = [str(map_file), str(folder)]
+    folder.mkdir(parents=True)
+    for index in (0, 20):
+        cv2.imwrite(
+            str(folder / f"frame-{index // 20:06d}.depth.png"), sequences[0].frame(index).depth
+        )
+    table = CliRunner().invoke(app, ["localize", *write])
+    assert table.exit_code == 0, table.output
+    assert "of 2 frames localized" in table.stdout
+    rows = json.loads(CliRunner().invoke(app, ["localize", *write, "--json"]).stdout)
+    assert [row["frame_index"] for row in rows] == [0, 1]
+    assert all(row["is_known"] == (row["T_map_camera"] is not None) for row in rows)
+    image = str(folder / "frame-000001.depth.png")
+    one = json.loads(CliRunner().invoke(app, ["localize", str(map_file), image, "--json"]).stdout)
+    assert one["T_map_camera"] == rows[1]["T_map_camera"]
+    missing = CliRunner().invoke(app, ["localize", str(tmp_path / "none.db"), image])
+    assert (missing.exit_code, missing.stdout) == (1, "")
+    assert "none.db: found no file, expected a map.db" in missing.stderr
