@@ -27,6 +27,7 @@ _ROWS = """
     download_catalogue download_http download_archive download recording realsense
     registry labelled config excerpt graph history keyframe_map slam minislam
     mapping pruning recovery merging relocating
+    graph_file occupancy exporting
     evaluation pose_accuracy recognition metrics synthetic testing training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
     scene_training
