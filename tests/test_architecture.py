@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
-    gravity clouds live views viewstack spectra panorama slices alignment recogniser tracking
+    gravity clouds live views viewstack spectra panorama slices alignment recogniser fusion tracking
     machines scenes levelled profile shapes network levels labelling
     scene_filter regions scene_map images
     keyframes loops covisibility parts consistency joining verification model single
