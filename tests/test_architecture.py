@@ -17,7 +17,7 @@ _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
     views gravity clouds live viewstack spectra panorama slices agreement alignment
-    recogniser tracking
+    recogniser fusion tracking
     machines scenes levelled profile shapes network levels labelling
     scene_filter regions scene_map images
     keyframes rankings loops covisibility parts consistency joining verification
