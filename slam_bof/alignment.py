@@ -18,11 +18,12 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from slam_bof import se3
+from slam_bof.agreement import Agreement, Coverage, agreement, coverage, tell
 from slam_bof.types import Array, Params
 from slam_bof.views import View
 from slam_bof.viewstack import Floats, Indices, ViewStack
 
-__all__ = ["Agreement", "AlignmentParams", "SurfacePairs", "ViewAligner"]
+__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
 
 ORBIT_M = 2.0
 """Half the random motions turn about a point so far ahead, at which the camera keeps looking."""
@@ -49,17 +50,6 @@ class AlignmentParams(Params):
     rest: float = Field(1e-3, ge=0, description="rad and m; who moves less waits for ...")
     n_last_iterations: int = Field(2, ge=0, description="... so many iterations at the end")
     tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
-
-
-class Agreement(NamedTuple):
-    """How far a view agrees with others, each (n,)."""
-
-    seen: Floats
-    """Share of a view's points that the other sees too; the smaller of both ways."""
-    blocking: Floats
-    """Share of its points that would block what the other sees; both ways added."""
-    compared: Floats
-    """Share of its points that fall where the other has a depth at all; the smaller."""
 
 
 class SurfacePairs(NamedTuple):
@@ -121,6 +111,10 @@ class ViewAligner:
         """Return the points (N, 3) of a view."""
         return self._views.points_camera(view_id)
 
+    def sampled(self, view_id: int, n_points: int) -> Array:
+        """Return ``n_points`` points (n, 3) of a view, ``params.n_points`` at most."""
+        return self._views.sampled(view_id, n_points).astype(np.float64)
+
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
         return self.refine(query, matches, self._search(query, matches, starts.astype(np.float32)))
@@ -168,22 +162,17 @@ class ViewAligner:
     def seen(self, query: int, matches: Indices, T_match_query: Array) -> tuple[Floats, Floats]:
         """Return the shares (n,) of the query's points that each match sees, and that block it."""
         points = self._views.sampled(query)
-        return self._shares(points, matches, T_match_query.astype(np.float32))[:2]
+        T = T_match_query.astype(np.float32)
+        told = tell(self._views, points, matches, T, self.params.tolerance)
+        return told.seen.mean(axis=1), told.blocking.mean(axis=1)
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
-        T = T_match_query.astype(np.float32)
-        seen, blocking, compared = self._shares(self._views.sampled(query), matches, T)
-        own = self._views.sampled(matches)
-        back = se3.inverse(T_match_query).astype(np.float32)
-        seen_back, blocking_back, compared_back = self._shares(
-            own, np.full(len(matches), query), back
-        )
-        return Agreement(
-            np.minimum(seen, seen_back),
-            blocking + blocking_back,
-            np.minimum(compared, compared_back),
-        )
+        return agreement(self._views, query, matches, T_match_query, self.params.tolerance)
+
+    def coverage(self, query: int, matches: Indices, T_match_query: Array) -> Coverage:
+        """Measure how far the query agrees with all matches (n,) together at poses (n, 4, 4)."""
+        return coverage(self._views, query, matches, T_match_query, self.params.tolerance)
 
     def _search(self, query: int, matches: Indices, starts: Floats) -> Floats:
         """Return the best of random poses about the starts, in rounds of smaller motions."""
@@ -235,17 +224,6 @@ class ViewAligner:
         matched &= _dot(gap, gap) < 4.0 * gate_m**2
         matched &= np.abs(residuals_m) < gate_m
         return _Association(moved, normals, residuals_m, matched)
-
-    def _shares(self, points: Floats, frames: Indices, T: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return the shares of points that the frames see, that block, and that can be told."""
-        fallen = self._views.fall(points, T)
-        there, _ = self._views.look(frames, fallen)
-        known = there > 0
-        off = fallen.depth_m - there
-        fixed, share = self.params.tolerance
-        allowed = fixed + share * fallen.depth_m
-        seen, blocking = known & (np.abs(off) < allowed), known & (off < -allowed)
-        return seen.mean(axis=1), blocking.mean(axis=1), known.mean(axis=1)
 
 
 def _chunks(n: int, n_each: int) -> Iterator[slice]:

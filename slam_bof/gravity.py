@@ -9,14 +9,15 @@ Should odometry lose track, what a view shows by itself is taken instead.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slam_bof.types import Array, Pose
+from slam_bof.types import Array, DepthFrame, Pose
+from slam_bof.views import make_view
 
-__all__ = ["GravityTracker", "level_frame"]
+__all__ = ["GravityTracker", "down_of_map", "level_frame"]
 
 N_VIEWS = 20
 """Views whose normals are fitted together."""
@@ -41,11 +42,17 @@ class GravityTracker:
     gravity_odom
         (3,) direction down in the odometry's frame, known to within some 40 degrees. Where the
         first camera is held about upright and is the odometry's frame, that is (0, 1, 0).
+    never_lost
+        Whether poses are known to be right, as those of a finished map are. No view is then taken
+        by itself, which for one that looks down steeply may be a mistake.
     """
 
-    def __init__(self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)) -> None:
+    def __init__(
+        self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0), *, never_lost: bool = False
+    ) -> None:
         gravity = np.asarray(gravity_odom, dtype=np.float64)
         self._gravity_odom = gravity / np.linalg.norm(gravity)
+        self._lost_margin = np.inf if never_lost else LOST_MARGIN
         self._normals_odom: deque[Array] = deque(maxlen=N_VIEWS)
 
     def update(self, normals_camera: NDArray[np.floating], T_odom_camera: Pose) -> Array:
@@ -59,11 +66,34 @@ class GravityTracker:
             joined = np.concatenate(self._normals_odom)
             self._gravity_odom = _fit(joined, self._gravity_odom, gates)
             afresh = _fit(seen_odom, R[:, 1], FIRST_GATES_RAD)
-            if _share(seen_odom, afresh) > _share(seen_odom, self._gravity_odom) + LOST_MARGIN:
+            if (
+                _share(seen_odom, afresh)
+                > _share(seen_odom, self._gravity_odom) + self._lost_margin
+            ):
                 self._normals_odom.clear()
                 self._normals_odom.append(seen_odom)
                 self._gravity_odom = afresh
         return np.asarray(R.T @ self._gravity_odom)
+
+
+def down_of_map(
+    frames: Iterable[DepthFrame], T_map_camera: Array, guess: ArrayLike = (0.0, 1.0, 0.0)
+) -> Array:
+    """Return down (3,) in a map's frame, as its keyframes' surfaces tell together.
+
+    Parameters
+    ----------
+    frames, T_map_camera
+        K keyframes and their poses (K, 4, 4).
+    guess
+        (3,) roughly down in the map's frame.
+    """
+    down = np.asarray(guess, dtype=np.float64)
+    seen = [np.empty((0, 3))]
+    for frame, T in zip(frames, T_map_camera, strict=True):
+        normals = make_view(frame).known_normals()
+        seen.append(normals[:: -(-len(normals) // N_NORMALS) or 1] @ T[:3, :3].T)
+    return _fit(np.concatenate(seen), down / np.linalg.norm(down), FIRST_GATES_RAD)
 
 
 def level_frame(gravity_camera: Array) -> Array:

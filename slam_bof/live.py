@@ -102,6 +102,9 @@ class FramePoseSynchroniser:
             raise ValueError(f"a pose's stamp must be finite, got {stamp_s}")
         T_odom_camera = np.array(T_odom_camera, dtype=np.float64)
         se3.check_rigid(T_odom_camera)
+        if stamp_s < self._last_s - self.params.max_gap_s:
+            self._drop(stamp_s, "pose came after all frames that could need it")
+            return
         at = bisect.bisect_left(self._stamps_s, stamp_s)
         if at < len(self._stamps_s) and self._stamps_s[at] == stamp_s:
             self._drop(stamp_s, "pose came twice")

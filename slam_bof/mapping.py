@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from slam_bof import se3
+from slam_bof.gravity import down_of_map
 from slam_bof.native import import_open3d
 from slam_bof.points import back_project
 from slam_bof.ports import Dataset
-from slam_bof.types import Array
+from slam_bof.types import Array, DepthFrame
+from slam_bof.views import view_points
 
-__all__ = ["write_map"]
+__all__ = ["write_map", "write_views"]
 
 STRIDE = 4
 EMPTY = """\
@@ -49,17 +52,60 @@ def write_map(
     voxel_size_m
         One point is kept for each voxel of this size.
     """
+
+    def coloured() -> Iterator[tuple[Array, Array | None]]:
+        for index, T in zip(frame_indices, T_map_camera, strict=True):
+            frame = dataset.frame(index)
+            depth_m = frame.depth_m(STRIDE)
+            depth_m[depth_m > MAX_RANGE_M] = 0.0
+            points_camera = back_project(depth_m, frame.intrinsics, STRIDE)
+            color = dataset.color(index)
+            rgb = None if color is None else color[::STRIDE, ::STRIDE][depth_m > 0.0] / 255.0
+            yield se3.transform(T, points_camera), rgb
+
+    return _write(path, coloured(), voxel_size_m)
+
+
+def write_views(
+    path: Path,
+    frames: Iterable[DepthFrame],
+    T_map_camera: Array,
+    *,
+    voxel_size_m: float = 0.02,
+) -> int:
+    """Write what a saved map keeps of its keyframes as .ply; return the number of points.
+
+    Colour tells the height: blue is low, red is high.
+
+    Parameters
+    ----------
+    path, voxel_size_m
+        As in ``write_map``.
+    frames, T_map_camera
+        Views of K keyframes, and their poses (K, 4, 4).
+    """
+    frames, clouds = list(frames), []
+    for frame, T in zip(frames, T_map_camera, strict=True):
+        points = view_points(frame)
+        points = points[points[:, 2] <= MAX_RANGE_M]
+        clouds.append(se3.transform(T, points.astype(np.float64)))
+    down = down_of_map(frames, T_map_camera)
+    heights_m = -np.concatenate([cloud @ down for cloud in clouds]) if clouds else np.zeros(0)
+    low, high = np.percentile(heights_m, [1.0, 99.0]) if len(heights_m) else (0.0, 1.0)
+    share = np.clip((heights_m - low) / max(high - low, 1e-9), 0.0, 1.0)
+    grey = np.rint(255 * share).astype(np.uint8).reshape(-1, 1)
+    rgb = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1] / 255.0 if len(grey) else grey
+    ends = np.cumsum([len(cloud) for cloud in clouds])[:-1]
+    return _write(path, zip(clouds, np.split(rgb, ends), strict=True), voxel_size_m)
+
+
+def _write(path: Path, clouds: Iterable[tuple[Array, Array | None]], voxel_size_m: float) -> int:
+    """Thin clouds of points_map (N, 3) and colours (N, 3), if any, to voxels, and write them."""
     o3d = import_open3d()
     fused = o3d.geometry.PointCloud()
-    for index, T in zip(frame_indices, T_map_camera, strict=True):
-        frame = dataset.frame(index)
-        depth_m = frame.depth_m(STRIDE)
-        depth_m[depth_m > MAX_RANGE_M] = 0.0
-        points_camera = back_project(depth_m, frame.intrinsics, STRIDE)
-        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(se3.transform(T, points_camera)))
-        color = dataset.color(index)
-        if color is not None:
-            rgb = color[::STRIDE, ::STRIDE][depth_m > 0.0] / 255.0
+    for points_map, rgb in clouds:
+        cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_map))
+        if rgb is not None:
             cloud.colors = o3d.utility.Vector3dVector(rgb.astype(np.float64))
         fused += cloud.voxel_down_sample(voxel_size_m)
     if fused.is_empty():

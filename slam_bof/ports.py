@@ -30,6 +30,7 @@ __all__ = [
     "Backend",
     "Dataset",
     "Descriptor",
+    "ForgettingVerifier",
     "LabelledImages",
     "NullObserver",
     "Observer",
@@ -131,6 +132,14 @@ class Verifier(Protocol):
         seed: int = 0,
     ) -> list[Verification]:
         """Align the query with each match, from guesses (n, 4, 4) or, without any, globally."""
+
+
+@runtime_checkable
+class ForgettingVerifier(Verifier, Protocol):
+    """A verifier that keeps what it prepares, and can forget it: for frames that only ask."""
+
+    def forget(self, prepared: Any) -> None:
+        """Forget what was prepared last; ``ValueError`` where it is anything else."""
 
 
 @runtime_checkable

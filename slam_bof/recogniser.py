@@ -9,7 +9,8 @@ are alike enough to be found, the place is still known from a moment ago.
 from __future__ import annotations
 
 from bisect import bisect_left
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slam_bof import se3
-from slam_bof.alignment import Agreement, AlignmentParams, ViewAligner
+from slam_bof.agreement import Agreement, Coverage
+from slam_bof.alignment import AlignmentParams, ViewAligner
 from slam_bof.gravity import GravityTracker, level_frame
 from slam_bof.native import one_blas_thread
 from slam_bof.panorama import Panorama
@@ -28,6 +30,9 @@ from slam_bof.types import Array, DepthFrame, Params, Pose
 from slam_bof.views import make_view, view_points
 
 __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
+
+UPRIGHT = np.array([0.0, 1.0, 0.0])
+"""Down in a camera held upright."""
 
 Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 """Measures how far a view agrees with others (n,) at ``T_match_query`` (n, 4, 4)."""
@@ -53,7 +58,7 @@ class PlaceMatch:
     """An earlier view aligned with the query.
 
     ``seen`` is the share of points that both see and ``blocking`` the share that contradicts, as
-    ``alignment.Agreement`` has them; ``score`` ranks.
+    ``agreement.Agreement`` has them; ``score`` ranks.
     """
 
     view_id: int
@@ -84,6 +89,8 @@ class PlaceRecogniser:
         (3,) roughly down in the odometry's frame, as ``GravityTracker`` has it.
     seed
         Of the points and the poses that alignment draws.
+    never_lost
+        Whether the poses are known to be right, as ``GravityTracker`` has it.
 
     Examples
     --------
@@ -100,9 +107,10 @@ class PlaceRecogniser:
         *,
         gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
         seed: int = 0,
+        never_lost: bool = False,
     ) -> None:
         self.params = params or RecogniserParams()
-        self._gravity = GravityTracker(gravity_odom)
+        self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
         self._panorama, self._slices = Panorama(), Slices()
         self._searched: list[int] = []  # views, of which the next two have a row each
         self._panoramas = Stack(self._panorama.shape, np.complex64)
@@ -119,17 +127,43 @@ class PlaceRecogniser:
     @one_blas_thread()
     def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
         """Remember a view, and return its id: 0, 1, 2 ..."""
-        view = make_view(frame)
-        normals = view.normals_camera[view.normals_camera.any(axis=-1)]
-        R = level_frame(self._gravity.update(normals, T_odom_camera)).astype(np.float32)
-        self._aligner.add(view)
-        self._T_odom_camera.append(T_odom_camera)
-        self._R_level_camera.append(R)
-        self._panoramas.append(self._panorama.spectrum(view_points(frame) @ R.T))
-        view_id = len(self) - 1
-        self._searched.append(view_id)
-        self._plans.append(self._slices.spectra(self._points_level(view_id), np.zeros(1))[0])
-        return view_id
+        gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
+        return self._add(frame, T_odom_camera, gravity_camera)
+
+    @contextmanager
+    def guest(self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None) -> Iterator[int]:
+        """Remember a view of which no odometry tells, and forget it when the block ends.
+
+        The block may ask with the id that it is given (``recognise_alone``), and must not add
+        views.
+
+        Parameters
+        ----------
+        frame
+            Of the same camera as the views.
+        gravity_camera
+            (3,) down in the camera's frame, as an inertial sensor has it. Without, the frame
+            tells it by itself, if the camera is tilted as in the views, to within some 40 degrees.
+
+        Raises
+        ------
+        ValueError
+            If the frame is of another camera.
+        """
+        if gravity_camera is None:
+            # Who looked down at a table most of the time does so again.
+            usual = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
+            tracker = GravityTracker(usual, never_lost=True)
+            gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
+        view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
+        try:
+            yield view_id
+        finally:
+            self._searched.pop()
+            for stack in (self._panoramas, self._plans):
+                stack.truncate(len(self._searched))
+            for held in (self._aligner, self._T_odom_camera, self._R_level_camera):
+                held.truncate(view_id)
 
     def set_aside(self) -> None:
         """Leave the newest view out of later searches, for it shows what an older one does.
@@ -170,15 +204,34 @@ class PlaceRecogniser:
         """Measure how far a view agrees with others (n,) at poses (n, 4, 4)."""
         return self._aligner.agreement(view_id, match_ids, T_match_query)
 
+    def points_camera(self, view_id: int, n_points: int) -> Array:
+        """Return ``n_points`` points (n, 3) of a view, some twice where it has fewer."""
+        return self._aligner.sampled(view_id, n_points)
+
+    def coverage(
+        self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
+    ) -> Coverage:
+        """Measure how far a view agrees with others (n,), taken together, at poses (n, 4, 4)."""
+        return self._aligner.coverage(view_id, match_ids, T_match_query)
+
     def recognise(self, view_id: int, n_views: int) -> list[PlaceMatch]:
         """Return the first ``n_views`` views that may show what this one does, best first."""
         return self.rank(view_id, self.retrieve(view_id, n_views))
 
-    @one_blas_thread()
-    def retrieve(self, view_id: int, n_views: int) -> Shortlist:
-        """Return which of the first ``n_views`` views look alike, unaligned.
+    def recognise_alone(
+        self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
+    ) -> list[PlaceMatch]:
+        """Return what ``recognise`` does, ``but`` for some views, following no earlier matches."""
+        shortlist = self.retrieve(view_id, n_views, but=but)
+        return self._rank(view_id, shortlist.view_ids, shortlist.starts)
 
-        Those set aside have a score of -1. The view that asks must not be one of them.
+    @one_blas_thread()
+    def retrieve(
+        self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
+    ) -> Shortlist:
+        """Return which of the first ``n_views`` views, ``but`` for some, look alike, unaligned.
+
+        Those left out or set aside have a score of -1. The view that asks must not be set aside.
         """
         p = self.params
         n = bisect_left(self._searched, n_views)
@@ -189,7 +242,10 @@ class PlaceRecogniser:
         turned = self._slices.spectra(self._points_level(view_id))
         alike_plans, T_plan = self._slices.compare(self._plans.rows[some], turned)
         alike[some] += np.float32(p.plan_weight) * alike_plans
+        left_out = np.isin(searched, [] if but is None else but)
+        alike[left_out] = -1.0
         best = np.argsort(-alike[some], kind="stable")[: p.n_aligned]
+        best = best[~left_out[some[best]]]
         view_ids = searched[some[best]]
         R = self._R_level_camera.rows
         T_level_query, T_match_level = np.eye(4), np.tile(np.eye(4), (len(best), 1, 1))
@@ -208,17 +264,21 @@ class PlaceRecogniser:
         They are followed to the view that is ranked next.
         """
         ids, starts = self._follow(view_id, shortlist)
+        matches = self._rank(view_id, ids, starts)
+        if matches:
+            self._before = (view_id, matches[: self.params.n_followed])
+        return matches
+
+    def _rank(self, view_id: int, ids: NDArray[np.intp], starts: Array) -> list[PlaceMatch]:
         if len(ids) == 0:
             return []
         T = self._aligner.align(view_id, ids, starts)
         seen, blocking, _ = self._aligner.agreement(view_id, ids, T)
         scores = self._score(T, seen - blocking)
-        matches = [
+        return [
             PlaceMatch(int(ids[k]), float(scores[k]), T[k], float(seen[k]), float(blocking[k]))
             for k in np.argsort(-scores, kind="stable")
         ]
-        self._before = (view_id, matches[: self.params.n_followed])
-        return matches
 
     def _follow(self, view_id: int, shortlist: Shortlist) -> tuple[NDArray[np.intp], Array]:
         """Return ``n_aligned`` views and their starts: listed, and what the last matches lead to.
@@ -246,6 +306,18 @@ class PlaceRecogniser:
         poses = np.array([T for _, T in led]).reshape(-1, 1, 4, 4)
         poses = np.broadcast_to(poses, (len(led), *starts.shape[1:]))
         return ids, np.concatenate([starts[:n_listed], poses])
+
+    @one_blas_thread()
+    def _add(self, frame: DepthFrame, T_odom_camera: Pose, gravity_camera: Array) -> int:
+        R = level_frame(gravity_camera).astype(np.float32)
+        self._aligner.add(make_view(frame))
+        self._T_odom_camera.append(T_odom_camera)
+        self._R_level_camera.append(R)
+        self._panoramas.append(self._panorama.spectrum(view_points(frame) @ R.T))
+        view_id = len(self) - 1
+        self._searched.append(view_id)
+        self._plans.append(self._slices.spectra(self._points_level(view_id), np.zeros(1))[0])
+        return view_id
 
     def _points_level(self, view_id: int) -> NDArray[np.float32]:
         R_camera_level = self._R_level_camera.rows[view_id].astype(np.float32).T

@@ -179,7 +179,7 @@ class LoopCloser:
             return  # no run goes on from a map that was pruned, only another session
         frame, last = thicken(record.thin, record.keyframe.stamp_s), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
-        self._tracker.restore(record.state["tracker"], frame, last.T_odom_raw, track)
+        self._tracker.restore(record.state["tracker"], frame, track)
         self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
         self._map.restore(record.state["detector"])
         if record.state["is_around"] is not None:

@@ -64,9 +64,9 @@ class Session:
     id: int
     dataset: str
     sequence: str
-    config: str
-    seed: int
-    version: str
+    config: str = ""
+    seed: int = 0
+    version: str = ""
     max_frames: int | None = None
     is_finished: bool = False
 
@@ -308,7 +308,7 @@ class MapStore(MapFile):
             found = db.execute(
                 "UPDATE candidates SET decision = 'accepted', reason = '', loop_id = ?,"
                 " admitted_by = ? WHERE query_id = ? AND match_id = ? AND source = ?"
-                " AND decision = 'held'",
+                " AND loop_id IS NULL",
                 (loop_id, id_, *pair),
             )
             if found.rowcount != 1:

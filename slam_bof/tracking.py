@@ -5,6 +5,9 @@ of a small view. Where it does not agree with what the keyframe sees, nor with w
 before it saw, not even after a search about the place, the track is lost: a quick turn, a covered
 lens, an odometry that was started anew. It is found again at a frame that agrees with the last
 keyframe after all; or it starts anew once two frames in a row agree with each other.
+
+While the track is followed, odometry keeps as much say as it deserves (``fusion``): there is one
+that errs by less from frame to frame than an alignment.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ from pydantic import Field
 
 from slam_bof import se3
 from slam_bof.alignment import AlignmentParams, ViewAligner
+from slam_bof.fusion import PoseFusion
 from slam_bof.types import DepthFrame, Params, Pose
 from slam_bof.views import View, make_view
 
@@ -78,6 +82,14 @@ class _Fit(NamedTuple):
     compared: float
 
 
+class _Found(NamedTuple):
+    """Where a frame is, what the keyframe sees of it, and whether it follows the one before."""
+
+    T_odom_camera: Pose
+    seen: float
+    is_followed: bool
+
+
 class Tracker:
     """Takes each frame with its odometry pose, and is told which ones become keyframes."""
 
@@ -91,23 +103,28 @@ class Tracker:
         self._is_lost = False
         self._usual = float("nan")
         self._view: View | None = None
-        self._T_raw = self._T_last = self._T_known = self._T_keyframe = np.eye(4)
+        self._fusion = PoseFusion()
+        self._T_last = self._T_known = self._T_keyframe = np.eye(4)
 
     def track(self, frame: DepthFrame, T_odom_camera: Pose) -> Track:
         """Say where the frame is, given its pose (4, 4) by odometry."""
         if not self.params.enabled:
             return Track(T_odom_camera, False, self._segment, float("nan"))
         before, self._view = self._view, self._look(frame)
-        T_guess = self._T_last @ se3.inverse(self._T_raw) @ T_odom_camera
+        T_guess = self._fusion.predict(T_odom_camera)
         found = self._find(before, T_guess)
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
-        T, seen = found or (T_guess, float("nan"))
+        T, seen, is_followed = found or _Found(T_guess, float("nan"), False)
+        if is_followed:
+            T = self._fusion.fuse(T_odom_camera, T)
         T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        if not is_followed:
+            self._fusion.restart(T_odom_camera, T)
         if not is_lost:
             self._T_known = T
-        self._T_last, self._T_raw, self._is_lost = T, T_odom_camera, is_lost
+        self._T_last, self._is_lost = T, is_lost
         return Track(T, is_lost, self._segment, seen)
 
     def keep(self) -> None:
@@ -116,23 +133,24 @@ class Tracker:
             self._aligner.truncate(KEYFRAME)
             self._aligner.add(self._view)
             self._T_keyframe = self._T_last
+            self._fusion.change_reference()
 
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
-        return {"n_lost": self.n_lost, "usual": None if np.isnan(self._usual) else self._usual}
+        usual = None if np.isnan(self._usual) else self._usual
+        return {"n_lost": self.n_lost, "usual": usual, "fusion": self._fusion.state()}
 
-    def restore(
-        self, state: dict[str, Any], frame: DepthFrame, T_odom_raw: Pose, track: Track
-    ) -> None:
-        """Go on from a keyframe: its frame, its pose by odometry, and what came of it."""
+    def restore(self, state: dict[str, Any], frame: DepthFrame, track: Track) -> None:
+        """Go on from a keyframe: its frame, and where it was found to be."""
         self.n_lost = state["n_lost"]
         self._usual = float("nan") if state["usual"] is None else state["usual"]
         self._segment = track.segment
         if self.params.enabled:
             self._view = self._look(frame)
-            self._T_raw, self._is_lost = T_odom_raw, False
+            self._is_lost = False
             self._T_last = self._T_known = track.T_odom_camera
             self.keep()
+            self._fusion.restore(state["fusion"])
 
     def _look(self, frame: DepthFrame) -> View | None:
         """Return the frame's view if it shows enough."""
@@ -140,32 +158,33 @@ class Tracker:
         n_known = np.count_nonzero(view.depth_m)
         return view if n_known >= self.params.min_pixels * view.depth_m.size else None
 
-    def _find(self, before: View | None, T_guess: Pose) -> tuple[Pose, float] | None:
-        """Return where the frame is and what the keyframe sees of it; nothing if it is lost."""
+    def _find(self, before: View | None, T_guess: Pose) -> _Found | None:
+        """Return where the frame is; nothing if it is lost."""
         if self._view is None:
             return None
         if len(self._aligner) == 0:
-            return T_guess, 1.0
+            return _Found(T_guess, 1.0, False)
         self._aligner.truncate(FRAME)
         self._aligner.add(self._view)
         followed = self._follow(KEYFRAME, self._T_keyframe, T_guess)
+        seen = followed.agreement * followed.compared
         if np.isnan(self._usual):
             self._usual = float(np.clip(followed.agreement, *USUAL))
         if not self._is_lost and self._is_usual(followed):
             self._usual += FORGETTING * (followed.agreement - self._usual)
-            return followed.T_odom_frame, followed.agreement * followed.compared
+            return _Found(followed.T_odom_frame, seen, True)
         from_before = None
         if before is not None:
             self._aligner.add(before)
             from_before = self._follow(BEFORE, self._T_last, T_guess)
             if not self._is_lost and self._is_usual(from_before):
-                return from_before.T_odom_frame, followed.agreement * followed.compared
+                return _Found(from_before.T_odom_frame, seen, False)
         searched = self._search(T_guess)
         if self._is_good(searched):
-            return searched.T_odom_frame, searched.agreement * searched.compared
+            return _Found(searched.T_odom_frame, searched.agreement * searched.compared, False)
         if self._is_lost and from_before and self._is_good(from_before):
             self._segment += 1
-            return from_before.T_odom_frame, 0.0
+            return _Found(from_before.T_odom_frame, 0.0, False)
         return None
 
     def _is_usual(self, fit: _Fit) -> bool:

@@ -40,6 +40,10 @@ class View:
         """Return what a pixel's depth is multiplied by to make its point, (h, w, 3)."""
         return _rays(self.intrinsics)
 
+    def known_normals(self) -> NDArray[np.float32]:
+        """Return the normals (N, 3) where there are any."""
+        return np.asarray(self.normals_camera[self.normals_camera.any(axis=-1)])
+
 
 @lru_cache(maxsize=1)
 def make_view(frame: DepthFrame) -> View:

@@ -110,6 +110,10 @@ class ViewStack:
         normals = self._normals.rows[view_id].take(pixels, axis=0) * np.float32(1 / NORMAL_STEPS)
         return self._points(view_id, pixels), normals
 
+    def surface_points(self, views: int | Indices) -> Floats:
+        """Return points (m, 3) of a view, or (n, m, 3) of views (n,), where it has normals."""
+        return self._points(np.asarray(views)[..., None], self._surface.rows[views])
+
     def fall(self, points: Floats, T: Floats) -> Fallen:
         """Return where points (m, 3), or (n, m, 3), fall in images from poses (n, 4, 4)."""
         assert self._camera is not None

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from web_server import Server, serving
 
 from slam_bof.synthetic import KINECT, Scene3D, make_room, sense
 from slam_bof.synthetic.furnisher import distance_to_boxes
@@ -29,6 +30,13 @@ def shared_data() -> Path:
     if not path.is_dir():
         pytest.skip(f"needs real data: no folder {path}, and SLAM_BOF_SHARED_DATA is not set")
     return path
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    """A web server on this machine that has no files yet."""
+    with serving() as state:
+        yield state
 
 
 def box_room_depth_mm(

@@ -16,15 +16,19 @@ ROOT = Path(__file__).resolve().parent.parent
 _ROWS = """
     errors types validation native scratch stack se3 timing trajectory judgement ports
     points layers contours bof packing vocabulary index places
-    views gravity clouds live viewstack spectra panorama slices alignment recogniser tracking
+    views gravity clouds live viewstack spectra panorama slices agreement alignment
+    recogniser fusion tracking
     machines scenes levelled profile shapes network levels labelling
     scene_filter regions scene_map images
-    keyframes rankings loops covisibility parts consistency joining verification model single
+    keyframes rankings loops covisibility parts consistency joining verification
+    fitting witnesses aliases localization
+    model single
     schema layout upgrades rows mapfile store records writer integrity queries
     download_catalogue download_http download_archive download recording realsense
-    registry labelled config graph history keyframe_map slam minislam
-    mapping pruning recovery merging
-    evaluation recognition metrics synthetic testing training bench retrieval
+    registry labelled config excerpt graph history keyframe_map slam minislam
+    mapping pruning recovery merging relocating
+    graph_file occupancy exporting
+    evaluation pose_accuracy recognition metrics synthetic testing training bench retrieval
     scene_splits scene_scores scene_methods scene_protocols
     scene_training
     figures scene_figures matrices page misses scene_page report runs run_folder run cli

@@ -48,6 +48,21 @@ def test_a_lost_odometry_is_noticed(look, standpoint):
             assert angle_deg(T_world_camera[:3, :3] @ down, DOWN) < 12.0
 
 
+def test_a_map_whose_poses_are_right_is_not_left_for_one_view(look, standpoint):
+    """One view, askew to the others, would say otherwise by itself."""
+    T = next(iter(poses(standpoint)))
+    down = T[:3, :3].T @ DOWN
+    normals = make_view(look(T)).known_normals()
+    lost, trusted = GravityTracker(down), GravityTracker(down, never_lost=True)
+    for tracker in (lost, trusted):
+        for _ in range(6):
+            tracker.update(normals, np.eye(4))
+    askew = Rotation.from_euler("zx", [20, 25], degrees=True).as_matrix()
+    seen = normals @ askew.T
+    assert trusted.update(seen, np.eye(4)) @ down > np.cos(np.radians(20))
+    assert lost.update(seen, np.eye(4)) @ (askew @ down) > np.cos(np.radians(5))
+
+
 def test_without_surfaces_the_direction_stays():
     tilt = Rotation.from_euler("x", 10, degrees=True).as_matrix()
     T_odom_camera = np.eye(4)

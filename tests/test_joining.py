@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_bof import se3
-from slam_bof.alignment import Agreement
+from slam_bof.agreement import Agreement
 from slam_bof.joining import JoinGate, JoinParams
 from slam_bof.types import Loop
 

@@ -82,7 +82,8 @@ def test_what_comes_twice_or_too_late_is_counted():
     pairing.add_pose(0.1, pose(1))
     pairing.take()
     pairing.add_frame(frame(0))
-    assert sum(pairing.counts.values()) == 3
+    pairing.add_pose(-0.5, pose(-5))
+    assert sum(pairing.counts.values()) == 4
     assert {d.reason.split(" ")[0] for d in pairing.dropped} == {"frame", "pose"}
 
 

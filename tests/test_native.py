@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes.util
+import os
 import subprocess
 import sys
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from slam_bof import native
 from slam_bof.native import one_blas_thread
 
 MAPPED = (
@@ -94,3 +96,13 @@ def test_blas_has_one_thread_within_and_what_it_had_before_after() -> None:
         with pytest.raises(KeyError), one_blas_thread():
             raise KeyError
         assert blas_threads() == before
+
+
+def test_silenced_lets_native_output_go_nowhere_and_python_s_come_back(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    libc = ctypes.CDLL(None)
+    with native.silenced():
+        libc.puts(b"from C")
+    os.write(1, b"after\n")
+    assert capfd.readouterr().out == "after\n"

@@ -123,3 +123,32 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
     assert recogniser.recognise(asking, asking)[0].view_id == 1
     agreement = recogniser.agreement(again, np.array([1]), np.eye(4)[None])
     assert agreement.seen[0] > 0.99
+
+
+def test_a_guest_is_forgotten_and_follows_nothing(tour):
+    frames, _ = tour
+    recogniser = remember(tour, n_plans=1)
+    recogniser.recognise(12, N_ROUND)  # which the next view would follow
+    before = recogniser.nbytes
+    with recogniser.guest(frames[13]) as view_id:
+        assert view_id == len(recogniser) - 1 == len(frames)
+        alone = recogniser.recognise_alone(view_id, N_ROUND)
+        assert [match.view_id for match in alone] == [6]
+        assert 6 not in {m.view_id for m in recogniser.recognise_alone(view_id, 9, but=[6])}
+        assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).seen > 0.99
+    assert len(recogniser) == len(frames)
+    assert recogniser.nbytes == before
+    fresh = remember(tour, n_plans=1)
+    fresh.recognise(12, N_ROUND)
+    answers = (r.recognise(13, N_ROUND) for r in (recogniser, fresh))
+    for a, b in zip(*answers, strict=True):
+        assert (a.view_id, a.score) == (b.view_id, b.score)
+
+
+def test_a_guest_is_forgotten_whatever_happens(tour):
+    frames, _ = tour
+    recogniser = remember(tour)
+    with pytest.raises(RuntimeError), recogniser.guest(frames[0]):
+        raise RuntimeError
+    assert len(recogniser) == len(frames)
+    assert recogniser.recognise(12, N_ROUND)[0].view_id == 1

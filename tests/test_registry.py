@@ -68,6 +68,24 @@ def test_missing_library_names_the_pip_command(stranger: Path) -> None:
         registry.load("odometry", "needy")
 
 
+def test_missing_names_the_library_and_imports_nothing(stranger: Path) -> None:
+    lacks = {
+        i.name: registry.missing(i) for i in registry.listing() if i.distribution == "stranger"
+    }
+    assert lacks["plain"] == lacks["tuned"] == ""
+    assert lacks["needy"].startswith("needs cv9_of_no_one, which is not installed; try: pip ")
+    assert "stranger" not in sys.modules
+    assert "stranger_needy" not in sys.modules
+
+
+def test_an_extra_that_brings_the_library_is_named(stranger: Path) -> None:
+    metadata = stranger / "stranger-1.2.3.dist-info" / "METADATA"
+    extra = 'Provides-Extra: eyes\nRequires-Dist: cv9-of-no-one>=1; extra == "eyes"\n'
+    metadata.write_text(metadata.read_text() + extra)
+    with pytest.raises(PluginError, match=r'try: pip install "stranger\[eyes\]"$'):
+        registry.load("odometry", "needy")
+
+
 def test_missing_class_is_a_plugin_error(stranger: Path) -> None:
     with pytest.raises(PluginError, match=r"'gone' cannot be loaded: .*Gone"):
         registry.load("odometry", "gone")

@@ -3,7 +3,7 @@ import pytest
 from conftest import CAMERA, box_room_depth_mm
 
 from slam_bof.types import DepthFrame, Intrinsics
-from slam_bof.views import make_view, surface_normals, view_points
+from slam_bof.views import in_steps, make_view, surface_normals, thicken, thin, view_points
 
 
 def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
@@ -77,3 +77,33 @@ def test_one_view_serves_all_who_look_at_a_frame(look):
         view.depth_m[0, 0] = 1.0
     with pytest.raises(ValueError, match="read-only"):
         view.normals_camera[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("size", [(640, 480), (848, 480), (320, 240), (200, 150)])
+@pytest.mark.parametrize("metres", [False, True])
+def test_what_the_map_keeps_of_a_frame_makes_the_same_view(size, metres):
+    width, height = size
+    rng = np.random.default_rng(0)
+    depth = rng.integers(0, 9000, (height, width)).astype(np.uint16)
+    depth[rng.random(depth.shape) < 0.1] = 65535
+    camera = Intrinsics(width, height, 500.3, 499.1, width / 2.1, height / 1.9)
+    given = np.float32(0.0007) + depth / np.float32(997.0) if metres else depth
+    frame = in_steps(DepthFrame(1.0, given, camera))
+    kept = thin(frame)
+    back = thicken(kept, 1.0)
+    assert kept.depth.size <= 200 * 150
+    for ours, theirs in (
+        (make_view(back).depth_m, make_view(frame).depth_m),
+        (make_view(back).normals_camera, make_view(frame).normals_camera),
+        (view_points(back), view_points(frame)),
+    ):
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(thin(in_steps(back)).depth, kept.depth)
+
+
+def test_depths_in_metres_are_rounded_by_a_sixteenth_of_a_millimetre_at_most():
+    depth = np.random.default_rng(0).uniform(0.1, 8.0, (48, 64)).astype(np.float32)
+    depth[0, :3] = np.nan, np.inf, -1.0
+    rounded = in_steps(DepthFrame(0.0, depth, Intrinsics(64, 48, 50, 50, 32, 24)))
+    np.testing.assert_allclose(rounded.depth_m()[1:], depth[1:], rtol=0, atol=6.3e-5)
+    assert not rounded.depth_m()[0, :3].any()

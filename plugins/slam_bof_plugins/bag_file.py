@@ -18,7 +18,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from slam_bof.errors import DatasetError
 
-__all__ = ["BagFile", "Topic", "bag_kind", "find_bag"]
+__all__ = ["BagFile", "Topic", "bag_kind", "find_bag", "open_bag"]
 
 KINDS = {
     ".bag": ("a ROS 1 bag", b"#ROSBAG V2.0\n"),
@@ -159,3 +159,25 @@ def find_bag(path: Path) -> Path | None:
         return path
     bags = [file for file in path.iterdir() if file.suffix in KINDS and file.is_file()]
     return bags[0] if len(bags) == 1 else None
+
+
+def open_bag(path: Path) -> BagFile:
+    """Open a bag, or the only one in a folder.
+
+    Raises
+    ------
+    DatasetError
+        If there is none, it is not what its name says, or it is damaged.
+    """
+    bag_path = find_bag(path)
+    if bag_path is None:
+        raise DatasetError(
+            f"{path}: found no bag, expected one .bag, .mcap or .db3 file, "
+            "or a folder with metadata.yaml"
+        )
+    kind = bag_kind(bag_path)
+    expected = "a ROS 2 bag" if bag_path.is_dir() else KINDS[bag_path.suffix][0]
+    if kind != expected:
+        found = kind or "something else"
+        raise DatasetError(f"{bag_path}: found {found}, expected {expected}, as its name says")
+    return BagFile(bag_path)

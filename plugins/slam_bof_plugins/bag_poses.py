@@ -13,7 +13,7 @@ from slam_bof.types import Array, Pose, Trajectory
 from slam_bof_plugins.bag_file import BagFile
 from slam_bof_plugins.dataset_files import poses_at
 
-__all__ = ["POSE_TYPES", "recorded_poses"]
+__all__ = ["find_odometry", "poses_recorded", "recorded_poses"]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
@@ -48,23 +48,76 @@ def recorded_poses(
     DatasetError
         If there is no such topic, it has no poses, or frames are not connected.
     """
+    msgtype = _pose_type(bag, topic)
+    if msgtype in TF:
+        tree = _read_tree(bag, [topic, STATIC])
+        return _along(bag, tree, camera_frame, world_frame, stamps_s, max_gap_s)
+    child, track = _read_poses(bag, topic, msgtype)
+    T_world_child = poses_at(track, stamps_s, max_gap_s)
+    return _to_camera(bag, T_world_child, child, camera_frame)
+
+
+def poses_recorded(
+    bag: BagFile, topic: str, *, camera_frame: str, world_frame: str, max_gap_s: float
+) -> Trajectory:
+    """Return ``T_world_camera`` at the times of the poses themselves; as ``recorded_poses`` else.
+
+    Of tf, these are the times of all transforms on the way that move.
+    """
+    msgtype = _pose_type(bag, topic)
+    if msgtype in TF:
+        tree = _read_tree(bag, [topic, STATIC])
+        tracks = [tree[frame][1] for frame in _way(bag, tree, camera_frame, world_frame)]
+        moving = [track.stamps_s for track in tracks if not _is_static(track)]
+        stamps_s = np.unique(np.concatenate([np.empty(0), *moving]))
+        return _along(bag, tree, camera_frame, world_frame, stamps_s, max_gap_s)
+    child, track = _read_poses(bag, topic, msgtype)
+    return _to_camera(bag, track, child, camera_frame)
+
+
+def find_odometry(bag: BagFile, option: str) -> str:
+    """Return the topic of the odometry that a bag has, or of poses, or tf.
+
+    Raises
+    ------
+    DatasetError
+        If there is none, or several, of which ``option`` chooses.
+    """
+    for kinds in ((ODOMETRY,), (POSE_STAMPED, POSE_COVARIANCE, TRANSFORM), TF):
+        names = [item.name for item in bag.topics if item.msgtype in kinds and item.n_messages]
+        names = [name for name in names if name != STATIC]
+        if len(names) == 1:
+            return names[0]
+        if names:
+            raise DatasetError(
+                f"{bag.path}: found {len(names)} topics of poses: {', '.join(names)}, "
+                f"expected one; choose by {option}={names[0]}"
+            )
+    listed = ", ".join(item.name for item in bag.topics) or "none"
+    raise DatasetError(
+        f"{bag.path}: found no poses (topics: {listed}), expected nav_msgs/Odometry, poses or tf"
+    )
+
+
+def _pose_type(bag: BagFile, topic: str) -> str:
+    """Return the type of a topic, if it is one of poses."""
     types = {item.name: item.msgtype for item in bag.topics}
-    if types.get(topic) not in POSE_TYPES:
+    found = types.get(topic, "no such topic")
+    if found not in POSE_TYPES:
         usable = [item.name for item in bag.topics if item.msgtype in POSE_TYPES]
-        found = types.get(topic, "no such topic")
         raise DatasetError(
             f"{bag.path}: {topic}: found {found}, "
             f"expected poses: {', '.join(usable) or 'none here'}"
         )
-    if types[topic] in TF:
-        tree = _read_tree(bag, sorted({topic, STATIC} & set(types)))
-        return _along(bag, tree, camera_frame, world_frame, stamps_s, max_gap_s)
-    child, track = _read_poses(bag, topic, types[topic])
-    T_world_child = poses_at(track, stamps_s, max_gap_s)
-    if child in ("", camera_frame):
+    return found
+
+
+def _to_camera(bag: BagFile, T_world_child: Trajectory, child: str, camera: str) -> Trajectory:
+    """Carry poses of what the messages tell of to the camera that is mounted there."""
+    if child in ("", _clean(camera)):
         return T_world_child
-    tree = _read_tree(bag, [STATIC] if STATIC in types else [])
-    T_child_camera = _along(bag, tree, camera_frame, child, stamps_s, max_gap_s)
+    stamps_s = T_world_child.stamps_s
+    T_child_camera = _along(bag, _read_tree(bag, [STATIC]), camera, child, stamps_s, np.inf)
     return Trajectory(stamps_s, T_world_child.poses @ T_child_camera.poses)
 
 
@@ -88,7 +141,8 @@ def _read_poses(bag: BagFile, topic: str, msgtype: str) -> tuple[str, Trajectory
 
 def _read_tree(bag: BagFile, topics: list[str]) -> Tree:
     found: dict[str, tuple[str, list[float], list[Pose], bool]] = {}
-    for topic in topics:
+    known = {item.name for item in bag.topics}
+    for topic in sorted(known & set(topics)):
         for _, message in bag.messages(topic):
             for item in message.transforms:
                 parent, child = _clean(item.header.frame_id), _clean(item.child_frame_id)
@@ -111,20 +165,29 @@ def _along(
     bag: BagFile, tree: Tree, frame: str, ancestor: str, stamps_s: Array, max_gap_s: float
 ) -> Trajectory:
     """Compose T_ancestor_frame at each stamp, link by link towards the root."""
-    frame, ancestor = _clean(frame), _clean(ancestor)
     poses = np.tile(np.eye(4), (len(stamps_s), 1, 1))
-    passed = [frame]
-    while passed[-1] != ancestor:
+    for passed in _way(bag, tree, frame, ancestor):
+        _, track = tree[passed]
+        T = track.poses[0] if _is_static(track) else poses_at(track, stamps_s, max_gap_s).poses
+        poses = T @ poses
+    return Trajectory(stamps_s, poses)
+
+
+def _way(bag: BagFile, tree: Tree, frame: str, ancestor: str) -> list[str]:
+    """Return the frames from one up to the last below its ancestor."""
+    passed = [_clean(frame)]
+    while passed[-1] != _clean(ancestor):
         if passed[-1] not in tree or tree[passed[-1]][0] in passed:
             raise DatasetError(
-                f"{bag.path}: tf: found {' <- '.join(passed)}, expected a way up to {ancestor!r}; "
-                f"known frames: {', '.join(sorted(_frames(tree))) or 'none'}"
+                f"{bag.path}: tf: found {' <- '.join(passed)}, expected a way up to "
+                f"{_clean(ancestor)!r}; known frames: {', '.join(sorted(_frames(tree))) or 'none'}"
             )
-        parent, track = tree[passed[-1]]
-        static = bool(np.isinf(track.stamps_s).any())
-        poses = (track.poses[0] if static else poses_at(track, stamps_s, max_gap_s).poses) @ poses
-        passed.append(parent)
-    return Trajectory(stamps_s, poses)
+        passed.append(tree[passed[-1]][0])
+    return passed[:-1]
+
+
+def _is_static(track: Trajectory) -> bool:
+    return bool(np.isinf(track.stamps_s).any())
 
 
 def _frames(tree: Tree) -> Iterator[str]:

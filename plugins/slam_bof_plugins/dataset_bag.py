@@ -19,9 +19,10 @@ from pydantic import Field
 
 from slam_bof.errors import DatasetError
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
-from slam_bof_plugins.bag_file import KINDS, BagFile, Topic, bag_kind, find_bag
-from slam_bof_plugins.bag_images import COMPRESSED, IMAGE, decode_depth, encoding
+from slam_bof_plugins.bag_file import BagFile, Topic, bag_kind, find_bag, open_bag
+from slam_bof_plugins.bag_images import decode_depth
 from slam_bof_plugins.bag_poses import recorded_poses
+from slam_bof_plugins.bag_topics import OPTION, find_depth_topic
 from slam_bof_plugins.dataset_files import check_stamps, sequence_name
 
 __all__ = ["BagParams", "RosBag"]
@@ -29,7 +30,6 @@ __all__ = ["BagParams", "RosBag"]
 logger = logging.getLogger(__name__)
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-OPTION = "--set dataset.options"
 
 
 class BagParams(Params):
@@ -96,20 +96,9 @@ class RosBag:
             If it is no bag or damaged; if there is no depth topic, no camera, or several of them
             and none was named.
         """
-        bag_path = find_bag(path)
-        if bag_path is None:
-            raise DatasetError(
-                f"{path}: found no bag, expected one .bag, .mcap or .db3 file, "
-                "or a folder with metadata.yaml"
-            )
-        kind = bag_kind(bag_path)
-        expected = "a ROS 2 bag" if bag_path.is_dir() else KINDS[bag_path.suffix][0]
-        if kind != expected:
-            found = kind or "something else"
-            raise DatasetError(f"{bag_path}: found {found}, expected {expected}, as its name says")
         params = params or BagParams()
-        bag = BagFile(bag_path)
-        return cls(bag, _depth_topic(bag, params.topic), params)
+        bag = open_bag(path)
+        return cls(bag, find_depth_topic(bag, params.topic), params)
 
     def __len__(self) -> int:
         """Return the number of depth images."""
@@ -143,46 +132,6 @@ class RosBag:
 
     def _where(self, index: int) -> str:
         return f"{self._bag.path}: {self._topic.name}, image {index}"
-
-
-def _depth_topic(bag: BagFile, wanted: str | None) -> Topic:
-    images = [item for item in bag.topics if item.msgtype in (IMAGE, COMPRESSED)]
-    if wanted is not None:
-        for item in images:
-            if item.name == wanted and item.n_messages:
-                return item
-        listed = ", ".join(item.name for item in images) or "none"
-        raise DatasetError(f"{bag.path}: found no images on {wanted}, expected one of: {listed}")
-    coded = {item.name: _encoding(bag, item) for item in images}
-    depth = {item.name: item for item in images if _is_depth(item.name, coded[item.name])}
-    # The same images, raw and compressed, are no choice.
-    depth = {name: item for name, item in depth.items() if name.rpartition("/")[0] not in depth}
-    if len(depth) == 1:
-        return next(iter(depth.values()))
-    listed = ", ".join(f"{name} ({coded[name] or 'empty'})" for name in (depth or coded))
-    if depth:
-        first = next(iter(depth))
-        raise DatasetError(
-            f"{bag.path}: found {len(depth)} depth topics: {listed}, "
-            f"expected one; choose by {OPTION}.topic={first}"
-        )
-    raise DatasetError(
-        f"{bag.path}: found no depth images (of images: {listed or 'none'}), "
-        "expected a topic of 16UC1 or 32FC1, raw or compressedDepth"
-    )
-
-
-def _encoding(bag: BagFile, topic: Topic) -> str:
-    first = bag.first(topic.name) if topic.n_messages else None
-    return "" if first is None else encoding(first, topic.msgtype)
-
-
-def _is_depth(name: str, coded: str) -> bool:
-    """Tell depth from infrared images, which have 16 bits too."""
-    kind = coded.split(";")[0]
-    if kind == "mono16":  # of the RealSense viewer
-        return "depth" in name.lower()
-    return kind in ("16UC1", "32FC1") and "jpeg" not in coded
 
 
 def _times(

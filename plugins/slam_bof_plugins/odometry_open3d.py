@@ -3,7 +3,7 @@
 Point-to-plane with projective association (KinectFusion, Newcombe et al., ISMAR 2011), coarse to
 fine. Of what else Open3D has, its hybrid of depth and colour (Park et al., ICCV 2017) needs an
 intensity image, and there is depth alone; and the surface that its volumetric model shows
-(``t.pipelines.slam.Model``, of 0.20) stands 0.6 to 0.9 voxels along each axis of the world from
+(``t.pipelines.slam.Model``, of 0.20) stands some 0.3 to 1 voxels along each axis of the world from
 where it was seen, which adds up from frame to frame.
 """
 

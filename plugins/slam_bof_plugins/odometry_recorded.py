@@ -1,4 +1,4 @@
-"""The poses of somebody else's system, from a file: TUM, KITTI or .npy."""
+"""The poses of somebody else's system, from a file: TUM, KITTI, .npy, or a ROS bag."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from slam_bof import se3
-from slam_bof.errors import DatasetError
+from slam_bof.errors import DatasetError, PluginError
 from slam_bof.trajectory import read_kitti, read_tum
 from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
 
@@ -26,6 +26,7 @@ AXES: dict[str, Array] = {
 """``R_recorded_camera`` (3, 3) of each convention: ``camera`` x right, y down, z forward; ``ros``
 (base_link, REP-103) x forward, y left, z up; ``opengl`` x right, y up, z back."""
 
+BAGS = (".bag", ".mcap", ".db3")
 EDGE_S = 0.02
 """So far before the first pose and after the last, that pose still holds: stamps are rounded."""
 MAX_WAIT_S = 60.0
@@ -35,9 +36,16 @@ MAX_WAIT_S = 60.0
 class RecordedParams(Params):
     """Which poses, and how they fit the frames."""
 
-    file: Path = Field(description="of TUM lines, KITTI lines or a NumPy array")
-    format: Literal["auto", "tum", "kitti", "npy"] = Field(
-        "auto", description="auto: .npy by its name, else by the numbers in a line"
+    file: Path = Field(description="of TUM lines, KITTI lines or a NumPy array; or a ROS bag")
+    format: Literal["auto", "tum", "kitti", "npy", "bag"] = Field(
+        "auto", description="auto: .npy and bags by their names, else by the numbers in a line"
+    )
+    topic: str | None = Field(
+        None, description="of a bag: by default its only nav_msgs/Odometry, poses or tf"
+    )
+    world_frame: str = Field("odom", description="of tf in a bag: the frame that poses are in")
+    camera_frame: str | None = Field(
+        None, description="of a bag: what moves; by default what its depth images are of"
     )
     convention: Literal["camera", "ros", "opengl"] = Field(
         "camera", description="the axes of what moves: camera: z forward, y down; ros: x forward, "
@@ -64,6 +72,8 @@ class RecordedOdometry:
     ------
     DatasetError
         If the file cannot be read, or by its stamps has nothing to do with the first frame.
+    PluginError
+        If it is a bag, and what reads bags is not installed.
     """
 
     Params = RecordedParams
@@ -141,10 +151,35 @@ def _read(params: RecordedParams) -> tuple[Trajectory, bool]:
     """Return the trajectory of the file, and whether it has stamps or counts."""
     kind = params.format
     if kind == "auto":
-        kind = "npy" if params.file.suffix == ".npy" else _text_format(params.file)
+        kind = _format_by_name(params.file) or _text_format(params.file)
+    if kind == "bag":
+        return _read_bag(params), True
     if kind == "tum":
         return read_tum(params.file), True
     return (read_kitti(params.file), False) if kind == "kitti" else _read_npy(params.file)
+
+
+def _format_by_name(file: Path) -> Literal["npy", "bag", ""]:
+    if file.suffix == ".npy":
+        return "npy"
+    return "bag" if file.suffix in BAGS or file.is_dir() else ""
+
+
+def _read_bag(params: RecordedParams) -> Trajectory:
+    try:
+        from slam_bof_plugins.bag_odometry import read_bag_odometry
+    except ModuleNotFoundError as error:
+        raise PluginError(
+            f"{params.file}: a bag needs {error.name}, which is not installed; "
+            'try: pip install "slam-bof[bag]"'
+        ) from error
+    return read_bag_odometry(
+        params.file,
+        topic=params.topic,
+        camera_frame=params.camera_frame,
+        world_frame=params.world_frame,
+        max_gap_s=params.max_gap_s,
+    )
 
 
 def _text_format(file: Path) -> Literal["tum", "kitti"]:

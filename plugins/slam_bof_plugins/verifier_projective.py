@@ -37,13 +37,23 @@ class ProjectiveVerifier:
     def __init__(self, params: ProjectiveParams | None = None) -> None:
         self.params = params or ProjectiveParams()
         self._aligner = ViewAligner(self.params.alignment)
-        self._n_views = 0
 
     def prepare(self, frame: DepthFrame, points_camera: Array) -> int:
         """Keep a small view of the frame; return its number."""
         self._aligner.add(make_view(frame))
-        self._n_views += 1
-        return self._n_views - 1
+        return len(self._aligner) - 1
+
+    def forget(self, prepared: int) -> None:
+        """Forget the view kept last.
+
+        Raises
+        ------
+        ValueError
+            If it is another one.
+        """
+        if prepared != len(self._aligner) - 1:
+            raise ValueError(f"only view {len(self._aligner) - 1}, the last, can be forgotten")
+        self._aligner.truncate(prepared)
 
     def verify(
         self,

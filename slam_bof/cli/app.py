@@ -11,11 +11,13 @@ from typer.core import TyperGroup
 from slam_bof.cli.benching import bench
 from slam_bof.cli.evaluating import evaluate
 from slam_bof.cli.fetching import download, record
+from slam_bof.cli.localizing import localize
 from slam_bof.cli.map_tools import app as map_tools
 from slam_bof.cli.maps import export, report
-from slam_bof.cli.querying import QueryCommand, query
+from slam_bof.cli.querying import query
 from slam_bof.cli.running import demo, run
 from slam_bof.cli.system import config, doctor, plugins, version
+from slam_bof.cli.tables import ListCommand
 from slam_bof.cli.training import train
 from slam_bof.errors import SlamBofError
 
@@ -61,10 +63,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 for command in (
-    *(demo, run, query, report, export, train),
+    *(demo, run, query, localize, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
-    app.command(cls=QueryCommand if command is query else None)(command)
+    app.command(cls=ListCommand if command in (query, localize) else None)(command)
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(map_tools, name="map")
 

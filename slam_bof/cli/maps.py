@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
 from slam_bof.cli.options import JSON, MAP
 from slam_bof.cli.querying import map_file
-
-if TYPE_CHECKING:
-    from slam_bof.store import MapStore
+from slam_bof.errors import ConfigError
 
 __all__ = ["export", "report"]
 
@@ -40,48 +38,64 @@ def export(
     map_: MAP,
     out: Annotated[Path, typer.Option("--out", "-o", help="The file to write.")],
     format_: Annotated[
-        Literal["tum", "kitti", "csv"],
-        typer.Option("--format", help="Keyframe poses (tum, kitti), or with labels (csv)."),
+        Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"],
+        typer.Option(
+            "--format",
+            help="Keyframe poses (tum, kitti), these with labels (csv), the pose graph (g2o), a "
+            "point cloud coloured by height (ply), a plan for ROS map_server (occupancy: YAML, "
+            "and a PNG beside it).",
+        ),
     ] = "tum",
+    session: Annotated[
+        int | None, typer.Option(min=0, help="Only this session's; by default all.")
+    ] = None,
+    all_frames: Annotated[
+        bool,
+        typer.Option("--all-frames", help="Of tum, kitti: every frame of a session (0)."),
+    ] = False,
+    voxel: Annotated[
+        float, typer.Option(min=0.001, metavar="M", help="Of ply: one point in each voxel.")
+    ] = 0.02,
+    resolution: Annotated[
+        float, typer.Option(min=0.005, metavar="M", help="Of occupancy: side of a cell.")
+    ] = 0.05,
+    min_height: Annotated[
+        float, typer.Option(metavar="M", help="Of occupancy: what is lower is floor.")
+    ] = 0.1,
+    max_height: Annotated[
+        float, typer.Option(metavar="M", help="Of occupancy: what is higher is passed under.")
+    ] = 2.0,
     as_json: JSON = False,
 ) -> None:
-    """Write a map's keyframes, at their poses in the map, into a file for other programs."""
+    """Write a map for other programs, all at the poses that it has in the map."""
     from slam_bof.cli.console import print_json
+    from slam_bof.exporting import export_map
+    from slam_bof.occupancy import OccupancyParams
     from slam_bof.store import MapStore
 
+    if all_frames and format_ not in ("tum", "kitti"):
+        raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
+    if min_height >= max_height:
+        raise ConfigError(f"--min-height: found {min_height}, expected below {max_height}")
+    plan = OccupancyParams(
+        resolution_m=resolution, min_height_m=min_height, max_height_m=max_height
+    )
+    if format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):
+        out = out.with_name(f"{out.name}.yaml")
     with MapStore.open(map_file(map_)) as store:
-        n_keyframes = _write(store, out, format_)
+        n = export_map(
+            store,
+            out,
+            format_,
+            session=session,
+            all_frames=all_frames,
+            voxel_size_m=voxel,
+            occupancy=plan,
+        )
+        n_keyframes = sum(session in (None, k.session) for k in store.keyframes())
+    what = "points" if format_ == "ply" else "frames" if all_frames else "keyframes"
     if as_json:
-        print_json({"file": str(out), "format": format_, "n_keyframes": n_keyframes})
+        answer = {"file": str(out), "format": format_, "n_keyframes": n_keyframes, f"n_{what}": n}
+        print_json(answer)
     else:
-        typer.echo(f"{n_keyframes} keyframes: {out}")
-
-
-def _write(store: MapStore, out: Path, format_: str) -> int:
-    import csv
-
-    import numpy as np
-
-    from slam_bof.queries import query_keyframes
-    from slam_bof.trajectory import write_kitti, write_tum
-    from slam_bof.types import Trajectory
-
-    if format_ == "csv":
-        records = query_keyframes(store)
-        with out.open("w", newline="", encoding="utf-8") as file:
-            table = csv.writer(file, lineterminator="\n")
-            names = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-            smoothed = ("smoothed", "smoothed_probability", "region")
-            own = ("id", "frame_index", "stamp_s", "scene", "probability")
-            table.writerow((*own, *names, *smoothed))
-            for r in records:
-                own_label = (r.id, r.frame_index, r.stamp_s, r.scene, r.scene_probability)
-                around = (r.smoothed, r.smoothed_probability, r.region)
-                table.writerow((*own_label, *r.translation_m, *r.quaternion_xyzw, *around))
-        return len(records)
-    poses = store.map_poses()
-    stamps_s = np.array([keyframe.stamp_s for keyframe in store.keyframes()])
-    known = np.isfinite(poses).all(axis=(1, 2))
-    trajectory = Trajectory(stamps_s[known], poses[known])
-    (write_tum if format_ == "tum" else write_kitti)(out, trajectory)
-    return len(trajectory)
+        typer.echo(f"{n} {what}: {out}")

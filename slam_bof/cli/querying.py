@@ -7,18 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
 
 from slam_bof.cli.options import JSON
+from slam_bof.cli.tables import parse_numbers, show_rows
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
     pass
 
-__all__ = ["QueryCommand", "map_file", "query"]
-
-LISTS = {"--near": 3, "--intrinsics": 4}
-"""Options of several numbers, which may be written with commas or with spaces between."""
+__all__ = ["map_file", "query"]
 
 KEYFRAMES = (
     ("keyframe", "id"),
@@ -53,26 +50,6 @@ REGIONS = (
     ("high m", "size_m_1"),
     ("deep m", "size_m_2"),
 )
-Columns = tuple[tuple[str, str], ...]
-
-
-class QueryCommand(TyperCommand):
-    """The command, with numbers of a list in one word or in several: ``--near 1 0 2``."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Join the numbers of a list by commas."""
-        joined: list[str] = []
-        rest = list(args)
-        while rest:
-            word = rest.pop(0)
-            joined.append(word)
-            if word in LISTS and rest:
-                numbers = [rest.pop(0)]
-                while rest and len(numbers) < LISTS[word] and _is_number(rest[0]):
-                    numbers.append(rest.pop(0))
-                joined.append(",".join(numbers))
-        parsed: list[str] = super().parse_args(ctx, joined)
-        return parsed
 
 
 def query(
@@ -144,19 +121,19 @@ def query(
 
     with MapStore.open(map_file(path)) as store:
         if loops:
-            _show(
+            show_rows(
                 [asdict(r) for r in query_loops(store, keyframe_id=keyframe)[:limit]], LOOPS, form
             )
             return
         if regions:
             found = query_regions(store, scene=scene, min_probability=min_probability)
-            _show([_region(region) for region in found[:limit]], REGIONS, form)
+            show_rows([_region(region) for region in found[:limit]], REGIONS, form)
             return
         records = query_keyframes(
             store,
             keyframe_id=keyframe,
             time_s=time,
-            near_m=None if near is None else _numbers("--near", near, "X Y Z in metres"),
+            near_m=None if near is None else parse_numbers("--near", near, "X Y Z in metres"),
             scene=scene,
             min_probability=min_probability,
             labels=labels,
@@ -164,11 +141,11 @@ def query(
         )
         if scene is not None and form == "table":
             rooms = [_region(r) for r in query_regions(store, scene=scene)]
-            _show(rooms, REGIONS, form, "Rooms, by where the camera was in them")
+            show_rows(rooms, REGIONS, form, "Rooms, by where the camera was in them")
     rows = [asdict(record) for record in records]
     if form == "table":
         rows = [{**row, **_label(row)} for row in rows]
-    _show(rows, KEYFRAMES, form)
+    show_rows(rows, KEYFRAMES, form)
 
 
 def map_file(path: Path) -> Path:
@@ -189,7 +166,7 @@ def _ask_image(
 
     numbers = None
     if intrinsics is not None:
-        numbers = _numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
+        numbers = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
     answer = label_image(
         path,
         models.load_default() if model == "default" else models.load(model),
@@ -198,7 +175,7 @@ def _ask_image(
         min_probability=min_probability,
     )
     if form == "json":
-        _show([asdict(answer)], (), "json", single=True)
+        show_rows([asdict(answer)], (), "json", single=True)
         return
     if form == "table":
         camera = answer.intrinsics
@@ -208,51 +185,7 @@ def _ask_image(
             f"{answer.intrinsics_from})"
         )
     rows = [{"scene": name, "probability": p} for name, p in answer.probabilities.items()]
-    _show(rows, (("scene", "scene"), ("probability", "probability")), form)
-
-
-def _show(
-    rows: list[dict[str, Any]],
-    columns: Columns,
-    form: str,
-    title: str = "",
-    *,
-    single: bool = False,
-) -> None:
-    """Print rows as a table, CSV with all there is, or JSON."""
-    import csv
-    import sys
-
-    from slam_bof.cli.console import print_json, print_table
-
-    if form == "json":
-        print_json(rows[0] if single else rows)
-    elif form == "table":
-        flat = [_flatten(row) for row in rows]
-        table = [[row.get(key) for _, key in columns] for row in flat]
-        print_table([name for name, _ in columns], table, title=title)
-    else:
-        flat = [_flatten(row) for row in rows]
-        names = list(dict.fromkeys(key for row in flat for key in row))
-        names = names or [key for _, key in columns]
-        writer = csv.DictWriter(sys.stdout, names, lineterminator="\n", restval="")
-        writer.writeheader()
-        writer.writerows(flat)
-
-
-def _flatten(row: dict[str, Any]) -> dict[str, Any]:
-    """Return a row without lists: ``translation_m_0``; probabilities by ``probability_LABEL``."""
-    flat: dict[str, Any] = {}
-    for key, value in row.items():
-        if isinstance(value, tuple) and key.endswith("_ids"):
-            flat[key] = " ".join(map(str, value))
-        elif isinstance(value, tuple):
-            flat |= {f"{key}_{i}": item for i, item in enumerate(value)}
-        elif isinstance(value, dict):
-            flat |= {f"probability_{name}": item for name, item in sorted(value.items())}
-        else:
-            flat[key] = value
-    return flat
+    show_rows(rows, (("scene", "scene"), ("probability", "probability")), form)
 
 
 def _label(row: dict[str, Any]) -> dict[str, Any]:
@@ -270,19 +203,3 @@ def _region(region: Any) -> dict[str, Any]:
 def _refuse(options: list[str], what: str) -> None:
     if options:
         raise ConfigError(f"{', '.join(options)}: found without {what}, expected for {what} only")
-
-
-def _numbers(option: str, text: str, expected: str) -> list[float]:
-    words = text.replace(",", " ").split()
-    values = [float(word) for word in words if _is_number(word)]
-    if len(values) != LISTS[option] or len(words) != LISTS[option]:
-        raise ConfigError(f"{option}: found {text!r}, expected {expected}")
-    return values
-
-
-def _is_number(word: str) -> bool:
-    try:
-        value = float(word)
-    except ValueError:
-        return False
-    return value - value == 0.0

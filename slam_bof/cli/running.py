@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import JSON, OUT, QUIET, SET
+from slam_bof.cli.options import FRAMES, JSON, OUT, QUIET, SET
 from slam_bof.cli.querying import map_file
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from slam_bof.ports import Dataset
     from slam_bof.run import RunResult
 
-__all__ = ["demo", "run"]
+__all__ = ["demo", "open_sequence", "run"]
 
 SUMMARY = (
     ("ATE of odometry", "ate_odometry_m", "m"),
@@ -51,6 +51,7 @@ def run(
     ] = None,
     model: Annotated[str | None, typer.Option(help="Model file, or default.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random.")] = None,
+    frames: FRAMES = None,
     max_frames: Annotated[int | None, typer.Option(min=1, help="Stop after so many.")] = None,
     map_: Annotated[
         Path | None,
@@ -82,7 +83,9 @@ def run(
             "--model": model is not None,
             "--seed": seed is not None,
         }
-        result = _resume(sequence, resume, out, given_too, max_frames=max_frames, quiet=quiet)
+        result = _resume(
+            sequence, resume, out, given_too, frames=frames, max_frames=max_frames, quiet=quiet
+        )
         _show(result, as_json=as_json)
         return
     chosen = configs.override(configs.resolve(config), assignments or [])
@@ -91,7 +94,9 @@ def run(
         given["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
     chosen = chosen.model_copy(update={k: v for k, v in given.items() if v is not None})
     place = None if map_ is None else map_file(map_)
-    result = _run(sequence, chosen, out, max_frames=max_frames, quiet=quiet, place=place)
+    result = _run(
+        sequence, chosen, out, frames=frames, max_frames=max_frames, quiet=quiet, place=place
+    )
     _show(result, as_json=as_json)
 
 
@@ -123,12 +128,13 @@ def _run(
     *,
     max_frames: int | None,
     quiet: bool,
+    frames: str | None = None,
     place: Path | None = None,
 ) -> RunResult:
     from slam_bof.cli.console import FrameBar
     from slam_bof.run import run_sequence
 
-    dataset, remarks = _open(sequence, config, quiet=quiet)
+    dataset, remarks = open_sequence(sequence, config, frames, quiet=quiet)
     with FrameBar(dataset.sequence, quiet=quiet) as observer:
         return run_sequence(
             dataset,
@@ -147,6 +153,7 @@ def _resume(
     out: Path,
     given_too: dict[str, bool],
     *,
+    frames: str | None,
     max_frames: int | None,
     quiet: bool,
 ) -> RunResult:
@@ -167,17 +174,20 @@ def _resume(
     if not sessions:
         raise MapError(f"{place}: found no session in it, expected an interrupted run")
     config = configs.parse(sessions[-1].config, str(place))
-    dataset, remarks = _open(sequence, config, quiet=quiet)
+    dataset, remarks = open_sequence(sequence, config, frames, quiet=quiet)
     with FrameBar(dataset.sequence, quiet=quiet) as observer:
         return resume_sequence(
             dataset, place, out, observer=observer, max_frames=max_frames, remarks=remarks
         )
 
 
-def _open(sequence: Path, config: Config, *, quiet: bool) -> tuple[Dataset, list[str]]:
+def open_sequence(
+    sequence: Path, config: Config, frames: str | None, *, quiet: bool
+) -> tuple[Dataset, list[str]]:
     """Open the data set; return it and what there is to say of how it was recognised."""
     from slam_bof import registry
     from slam_bof.errors import DatasetError
+    from slam_bof.excerpt import Excerpt
     from slam_bof.ports import LabelledImages
 
     name, remarks = config.dataset.name, []
@@ -192,7 +202,7 @@ def _open(sequence: Path, config: Config, *, quiet: bool) -> tuple[Dataset, list
             f"{sequence}: found single images of {name}, expected a sequence; "
             "they are for training and judging scene labels"
         )
-    return dataset, remarks
+    return (dataset if frames is None else Excerpt.parse(dataset, frames)), remarks
 
 
 def _show(result: RunResult, *, as_json: bool) -> None:

@@ -4,6 +4,7 @@ from verifiers import verify
 
 from slam_bof import se3
 from slam_bof.points import PointParams, points_camera
+from slam_bof.ports import ForgettingVerifier
 from slam_bof.synthetic import spin
 from slam_bof.types import DepthFrame, Intrinsics
 from slam_bof_plugins.verifier_projective import ProjectiveParams, ProjectiveVerifier
@@ -82,3 +83,18 @@ def test_blind_frames_are_rejected(golden):
     assert not verified.accepted
     assert verified.reason == "no correspondences"
     assert np.isfinite(verified.T_match_query).all()
+
+
+def test_what_was_prepared_last_can_be_forgotten(golden):
+    query, match, behind, T_match_query = golden
+    verifier = ProjectiveVerifier()
+    assert isinstance(verifier, ForgettingVerifier)
+    (kept,) = prepare(verifier, match)
+    for _ in range(2):
+        (asking,) = prepare(verifier, behind)
+        verifier.forget(asking)
+    (asking,) = prepare(verifier, query)
+    assert asking == 1
+    assert_golden(verify(verifier, asking, kept, T_match_query), T_match_query)
+    with pytest.raises(ValueError, match="only view 1, the last"):
+        verifier.forget(kept)

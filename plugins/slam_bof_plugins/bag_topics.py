@@ -1,0 +1,58 @@
+"""Which topic of a bag has depth images: told by how the images are coded."""
+
+from __future__ import annotations
+
+from slam_bof.errors import DatasetError
+from slam_bof_plugins.bag_file import BagFile, Topic
+from slam_bof_plugins.bag_images import COMPRESSED, IMAGE, encoding
+
+__all__ = ["OPTION", "find_depth_topic"]
+
+OPTION = "--set dataset.options"
+
+
+def find_depth_topic(bag: BagFile, wanted: str | None = None) -> Topic:
+    """Return the topic of depth images that is wanted, or the only one.
+
+    Raises
+    ------
+    DatasetError
+        If there is none, or several and none was named.
+    """
+    images = [item for item in bag.topics if item.msgtype in (IMAGE, COMPRESSED)]
+    if wanted is not None:
+        for item in images:
+            if item.name == wanted and item.n_messages:
+                return item
+        listed = ", ".join(item.name for item in images) or "none"
+        raise DatasetError(f"{bag.path}: found no images on {wanted}, expected one of: {listed}")
+    coded = {item.name: _encoding(bag, item) for item in images}
+    depth = {item.name: item for item in images if _is_depth(item.name, coded[item.name])}
+    # The same images, raw and compressed, are no choice.
+    depth = {name: item for name, item in depth.items() if name.rpartition("/")[0] not in depth}
+    if len(depth) == 1:
+        return next(iter(depth.values()))
+    listed = ", ".join(f"{name} ({coded[name] or 'empty'})" for name in (depth or coded))
+    if depth:
+        first = next(iter(depth))
+        raise DatasetError(
+            f"{bag.path}: found {len(depth)} depth topics: {listed}, "
+            f"expected one; choose by {OPTION}.topic={first}"
+        )
+    raise DatasetError(
+        f"{bag.path}: found no depth images (of images: {listed or 'none'}), "
+        "expected a topic of 16UC1 or 32FC1, raw or compressedDepth"
+    )
+
+
+def _encoding(bag: BagFile, topic: Topic) -> str:
+    first = bag.first(topic.name) if topic.n_messages else None
+    return "" if first is None else encoding(first, topic.msgtype)
+
+
+def _is_depth(name: str, coded: str) -> bool:
+    """Tell depth from infrared images, which have 16 bits too."""
+    kind = coded.split(";")[0]
+    if kind == "mono16":  # of the RealSense viewer
+        return "depth" in name.lower()
+    return kind in ("16UC1", "32FC1") and "jpeg" not in coded
