@@ -19,16 +19,6 @@ from slam_bof.views import view_points
 __all__ = ["write_map", "write_views"]
 
 STRIDE = 4
-EMPTY = """\
-ply
-format binary_little_endian 1.0
-element vertex 0
-property double x
-property double y
-property double z
-end_header
-"""
-"""What Open3D would write of no points, if it did not refuse to."""
 MAX_RANGE_M = 4.0
 
 
@@ -94,7 +84,9 @@ def write_views(
     low, high = np.percentile(heights_m, [1.0, 99.0]) if len(heights_m) else (0.0, 1.0)
     share = np.clip((heights_m - low) / max(high - low, 1e-9), 0.0, 1.0)
     grey = np.rint(255 * share).astype(np.uint8).reshape(-1, 1)
-    rgb = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1] / 255.0 if len(grey) else grey
+    rgb = np.zeros((0, 3))
+    if len(grey):
+        rgb = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1] / 255.0
     ends = np.cumsum([len(cloud) for cloud in clouds])[:-1]
     return _write(path, zip(clouds, np.split(rgb, ends), strict=True), voxel_size_m)
 
@@ -108,10 +100,24 @@ def _write(path: Path, clouds: Iterable[tuple[Array, Array | None]], voxel_size_
         if rgb is not None:
             cloud.colors = o3d.utility.Vector3dVector(rgb.astype(np.float64))
         fused += cloud.voxel_down_sample(voxel_size_m)
-    if fused.is_empty():
-        path.write_text(EMPTY, encoding="ascii", newline="\n")
-        return 0
     fused = fused.voxel_down_sample(voxel_size_m)
-    if not o3d.io.write_point_cloud(str(path), fused):
-        raise OSError(f"cannot write {path}")
+    _write_ply(path, np.asarray(fused.points), np.asarray(fused.colors))
     return len(fused.points)
+
+
+def _write_ply(path: Path, points: Array, colors: Array) -> None:
+    """Write points (N, 3) and their colours in [0, 1], (N, 3) or none, as Open3D would.
+
+    It writes no empty clouds, and says of a full disk as many lines as there are numbers.
+    """
+    columns = [(name, "double", "<f8", points[:, k]) for k, name in enumerate("xyz")]
+    if len(colors):
+        rgb = np.rint(255.0 * np.clip(colors, 0.0, 1.0))
+        names = ("red", "green", "blue")
+        columns += [(name, "uchar", "u1", rgb[:, k]) for k, name in enumerate(names)]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}"]
+    header += [*(f"property {kind} {name}" for name, kind, *_ in columns), "end_header", ""]
+    vertices = np.empty(len(points), [(name, dtype) for name, _, dtype, _ in columns])
+    for name, _, _, values in columns:
+        vertices[name] = values
+    path.write_bytes("\n".join(header).encode() + vertices.tobytes())
