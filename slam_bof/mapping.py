@@ -84,7 +84,7 @@ def write_views(
     low, high = np.percentile(heights_m, [1.0, 99.0]) if len(heights_m) else (0.0, 1.0)
     share = np.clip((heights_m - low) / max(high - low, 1e-9), 0.0, 1.0)
     grey = np.rint(255 * share).astype(np.uint8).reshape(-1, 1)
-    rgb = np.zeros((0, 3))
+    rgb: Array = np.zeros((0, 3))
     if len(grey):
         rgb = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1] / 255.0
     ends = np.cumsum([len(cloud) for cloud in clouds])[:-1]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import logging
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -113,30 +114,36 @@ def run_sequence(
         Whatever else the user can mend: the model, a plug-in, the data set, the map.
     """
     config = configs.complete(config)
-    extends = map_file is not None and map_file.exists()
-    if map_file is not None and extends:
-        MapStore.open(map_file).close()  # so that a bad one leaves no folder behind
     job = _Job.prepare(dataset, config, observer, max_frames)
-    folder = make_folder(out)
-    with naming_errors(folder), logging_to(folder / "run.log"):
+    with ExitStack() as stack:
+        store = None
+        if map_file is not None:
+            # First of all, so that a bad one, or one in use, leaves no folder behind.
+            is_there = map_file.exists()
+            store = (
+                MapStore.open(map_file, read_only=False) if is_there else MapStore.create(map_file)
+            )
+            stack.enter_context(store)
+            _check_ready(store, dataset, job.closer.model_hash)
+        folder = make_folder(out)
+        stack.enter_context(naming_errors(folder))
+        stack.enter_context(logging_to(folder / "run.log"))
         _begin_log(dataset, remarks)
         (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
-        if map_file is not None:
-            link_map(folder, map_file)
-        place = map_file or folder / "map.db"
-        with MapStore.open(place, read_only=False) if extends else MapStore.create(place) as store:
-            sessions = store.sessions()
-            _check_ready(store, sessions)
-            session = Session(
-                len(sessions),
-                dataset.name,
-                dataset.sequence,
-                configs.dump(config),
-                config.seed,
-                importlib.metadata.version("slam-bof"),
-                max_frames,
-            )
-            return _run(job, folder, store, session, is_new=True)
+        if store is None:
+            store = stack.enter_context(MapStore.create(folder / "map.db"))
+        else:
+            link_map(folder, store.path)
+        session = Session(
+            len(store.sessions()),
+            dataset.name,
+            dataset.sequence,
+            configs.dump(config),
+            config.seed,
+            importlib.metadata.version("slam-bof"),
+            max_frames,
+        )
+        return _run(job, folder, store, session, is_new=True)
 
 
 def resume_sequence(
@@ -173,7 +180,8 @@ def resume_sequence(
             )
         config = configs.parse(session.config, f"{map_file}: session {session.id}")
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
-        is_in_folder = (map_file.parent / "config.yaml").exists()
+        _check_ready(store, dataset, job.closer.model_hash, is_new=False)
+        is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
         with naming_errors(folder), logging_to(folder / "run.log"):
             _begin_log(dataset, remarks)
@@ -283,27 +291,40 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
 
 def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
     """Bring the closer to where the map has the session, and begin it if it is new."""
-    model = store.parameters().get("model", closer.model_hash)
-    if model != closer.model_hash:
-        raise MapError(
-            f"{store.path}: found words of model {model[:12]}, expected those of "
-            f"{closer.model_hash[:12]}: a map is of one model"
-        )
     closer.restore(read_records(store, as_before=None if is_new else session.id))
     while closer.session < session.id:
         closer.begin_session()
     if is_new:
-        store.set_parameters({"model": model})
+        store.set_parameters({"model": closer.model_hash})
         store.begin_session(session)
 
 
-def _check_ready(store: MapStore, sessions: Sequence[Session]) -> None:
-    """Check that the map can take another session."""
-    if sessions and not sessions[-1].is_finished:
+def _check_ready(store: MapStore, dataset: Dataset, model: str, *, is_new: bool = True) -> None:
+    """Check that the map can take the data set as another session, or go on with its last one."""
+    sessions, found = store.sessions(), store.parameters().get("model", model)
+    if is_new and sessions and not sessions[-1].is_finished:
         raise MapError(
             f"{store.path}: found that its last run, of {sessions[-1].sequence}, was interrupted, "
             "expected a finished one: resume it first"
         )
+    if found != model:
+        raise MapError(
+            f"{store.path}: found words of model {found[:12]}, expected those of {model[:12]}: "
+            "a map is of one model"
+        )
+    camera = store.intrinsics()
+    if camera not in (None, dataset.intrinsics):
+        raise MapError(
+            f"{store.path}: found {camera}, expected {dataset.intrinsics}, the camera of "
+            f"{dataset.sequence}: a map is of one camera"
+        )
+
+
+def _is_folder_of(folder: Path, session: Session) -> bool:
+    """Tell whether a folder is that of a session's run, and not of one that had ended before."""
+    has_ended = (folder / "metrics.json").exists()
+    is_own = session.is_finished and session.id == 0 if has_ended else True
+    return (folder / "config.yaml").exists() and is_own
 
 
 def _begin_log(dataset: Dataset, remarks: Sequence[str]) -> None:
