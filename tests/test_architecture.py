@@ -18,7 +18,7 @@ _ROWS = """
     points layers contours bof packing vocabulary index places
     views gravity clouds live viewstack spectra panorama slices alignment recogniser tracking
     machines scenes levelled profile shapes network levels labelling
-    scene_filter regions scene_map images
+    scene_filter scene_smoothing regions scene_map images
     keyframes rankings loops covisibility parts consistency joining verification model single
     schema upgrades rows mapfile store records writer integrity queries
     download_catalogue download_http download_archive download recording realsense
