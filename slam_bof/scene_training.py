@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_bof.errors import DatasetError
-from slam_bof.labelled import LabelledFrame, moments
+from slam_bof.labelled import LabelledFrame, moments, sequence_names
 from slam_bof.machines import Found, MachineName, search_svm
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams
@@ -169,6 +169,7 @@ def _search(
 def _read(
     frames: Sequence[LabelledFrame], what: str, on_progress: Progress
 ) -> Iterator[TrainingFrame]:
-    for done, (item, group) in enumerate(zip(frames, moments(frames), strict=True), start=1):
+    names = sequence_names(frames)
+    for done, (item, group) in enumerate(zip(frames, names, strict=True), start=1):
         yield TrainingFrame(item.read(gray=False)[0], item.label, group)
         on_progress(what, done, len(frames))

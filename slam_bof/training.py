@@ -9,6 +9,7 @@ from itertools import compress
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.labelled import cut_stretches
 from slam_bof.levels import LevelledView, LevelScenes, look
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams, descriptors
@@ -23,6 +24,7 @@ __all__ = ["Descriptors", "TrainingFrame", "describe_frames", "fit_model", "trai
 class TrainingFrame:
     """A depth frame with its scene label, if it has one, and the sequence it comes from.
 
+    Frames of one ``group`` are in the order of time.
     ``gravity_camera`` (3,), the direction down, is needed for layers along gravity only.
     """
 
@@ -115,6 +117,9 @@ def fit_model(
 ) -> Model:
     """Fit words, idf and the scene classifier (``scenes``, or the default) to descriptors.
 
+    How sure to be is learnt from sequences (groups) held out; of classes that few of them show,
+    from stretches of these, for what is seen a moment before or after is no test.
+
     Raises
     ------
     ValueError
@@ -129,9 +134,13 @@ def fit_model(
     fitted = levels = None
     if len(set(labels.tolist())) > 1:
         bags = tf_idf.transform(counts)[labelled]
-        groups = np.array(described.groups)[labelled]
+        sequences = list(compress(described.groups, labelled))
+        groups = cut_stretches(labels.tolist(), sequences)
+        n_moments = len(set(groups)) if groups != sequences else None
         fitted = (scenes or SceneClassifier(seed=seed)).fit(bags, labels, groups)
         if described.views:
             views = list(compress(described.views, labelled))
-            levels = LevelScenes.learn(views, labels.tolist(), groups, seed=seed)
+            levels = LevelScenes.learn(
+                views, labels.tolist(), groups, n_moments=n_moments, seed=seed
+            )
     return Model(params, vocabulary, tf_idf, fitted, trained_on, levels)
