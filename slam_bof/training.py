@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import compress
 
@@ -48,6 +48,21 @@ class Descriptors:
     labels: tuple[str | None, ...]
     groups: tuple[str, ...]
     views: tuple[LevelledView, ...] = ()
+
+    def of_frames(self) -> list[NDArray[np.float32]]:
+        """Return the descriptors of each of the N frames, (counts[k], n_values)."""
+        return np.split(self.values, np.cumsum(self.counts)[:-1])
+
+    def select(self, frames: Sequence[int]) -> Descriptors:
+        """Return those of some frames, by number, in that order."""
+        parts = self.of_frames()
+        return Descriptors(
+            np.concatenate([self.values[:0], *(parts[k] for k in frames)]),
+            self.counts[list(frames)],
+            tuple(self.labels[k] for k in frames),
+            tuple(self.groups[k] for k in frames),
+            tuple(self.views[k] for k in frames) if self.views else (),
+        )
 
 
 def train_model(

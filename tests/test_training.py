@@ -72,6 +72,16 @@ def test_frames_are_described_in_order_and_reported():
     assert described.groups == ("room-0",) * 4 + ("room-1",)
 
 
+def test_of_some_frames_all_is_kept():
+    described = describe_frames(frames(n=6), PARAMS, levelled=True)
+    some = described.select([4, 1])
+    each = described.of_frames()
+    np.testing.assert_array_equal(some.values, np.concatenate([each[4], each[1]]))
+    assert some.counts.tolist() == [len(each[4]), len(each[1])]
+    assert (some.labels, some.groups) == (("box", "cross"), ("room-1", "room-0"))
+    assert some.views == (described.views[4], described.views[1])
+
+
 def test_the_same_seed_gives_the_same_model():
     first, again, other = (
         train_model(frames(n=20), PARAMS, n_words=12, seed=seed, trained_on="boxes").content_hash
