@@ -22,12 +22,14 @@ from slam_bof.types import DepthFrame
 __all__ = [
     "LabelledFrame",
     "LabelledSequence",
+    "cut_stretches",
     "frames_of",
     "moments",
     "open_labelled",
     "parse_label",
     "read_label_file",
     "read_split",
+    "sequence_names",
 ]
 
 N_BLOCKS = 5
@@ -172,25 +174,45 @@ def frames_of(sequences: Iterable[LabelledSequence], *, every: int = 1) -> list[
 def moments(frames: Sequence[LabelledFrame]) -> list[str]:
     """Name, for each frame, what shows the same as its neighbours: never to be split.
 
-    That is its sequence, where its class has at least ``N_BLOCKS`` of them; else one of so many
-    stretches of its class there.
+    That is its sequence, cut as ``cut_stretches`` does it.
     """
-    names = _names(frames)
+    return cut_stretches([frame.label for frame in frames], sequence_names(frames))
+
+
+def cut_stretches(labels: Sequence[str], sequences: Sequence[str]) -> list[str]:
+    """Cut sequences into stretches in time, where a class has too few to tell apart.
+
+    Parameters
+    ----------
+    labels, sequences
+        (N,) the class of each frame and the sequence that it is of, in the order of time.
+
+    Returns
+    -------
+    list of str
+        (N,) the sequence, where its class has at least ``N_BLOCKS`` of them; else one of so many
+        stretches of its class there.
+
+    Examples
+    --------
+    >>> cut_stretches(["hall"] * 10, ["a"] * 10)[::2]
+    ['a hall 0', 'a hall 1', 'a hall 2', 'a hall 3', 'a hall 4']
+    """
     of_class: dict[str, set[str]] = {}
-    for frame, name in zip(frames, names, strict=True):
-        of_class.setdefault(frame.label, set()).add(name)
-    stretches = [f"{name} {frame.label}" for frame, name in zip(frames, names, strict=True)]
+    for label, name in zip(labels, sequences, strict=True):
+        of_class.setdefault(label, set()).add(name)
+    stretches = [f"{name} {label}" for label, name in zip(labels, sequences, strict=True)]
     lengths, seen = Counter(stretches), Counter[str]()
     found = []
-    for frame, name, stretch in zip(frames, names, stretches, strict=True):
+    for label, name, stretch in zip(labels, sequences, stretches, strict=True):
         block = N_BLOCKS * seen[stretch] // lengths[stretch]
         seen[stretch] += 1
-        many = len(of_class[frame.label]) >= N_BLOCKS
+        many = len(of_class[label]) >= N_BLOCKS
         found.append(name if many else f"{stretch} {block}")
     return found
 
 
-def _names(frames: Sequence[LabelledFrame]) -> list[str]:
+def sequence_names(frames: Sequence[LabelledFrame]) -> list[str]:
     """Return the sequence of each frame by a name that no other has."""
     numbers: dict[int, int] = {}
     return [

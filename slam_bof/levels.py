@@ -53,11 +53,12 @@ class LevelScenes:
         labels: Sequence[str],
         groups: ArrayLike | None = None,
         *,
+        n_moments: int | None = None,
         n_words: int = N_WORDS,
         network: SceneNetwork | None = None,
         seed: int = 0,
     ) -> Self:
-        """Learn of views and their labels; ``groups`` is as ``SceneNetwork.fit`` has it.
+        """Learn of views and their labels; ``groups``, ``n_moments`` are ``SceneNetwork.fit``'s.
 
         ``network`` is the one to fit, by default the usual one with ``seed``.
         Where there are fewer shapes than words, there are as many words as shapes.
@@ -68,7 +69,7 @@ class LevelScenes:
         vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
         scenes = cls(vocabulary, network or SceneNetwork(seed=seed))
         numbers = np.array([scenes.numbers(view) for view in views])
-        scenes.network.fit(numbers, np.asarray(labels), groups)
+        scenes.network.fit(numbers, np.asarray(labels), groups, n_moments=n_moments)
         return scenes
 
     def description(self) -> dict[str, Any]:

@@ -75,11 +75,20 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
     n_folds: int = 3
     seed: int = 0
 
-    def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> Self:
+    def fit(
+        self,
+        X: Any,
+        y: Any,
+        groups: ArrayLike | None = None,
+        *,
+        n_moments: int | None = None,
+    ) -> Self:
         """Learn from numbers (n_frames, D) and their labels.
 
         ``groups`` (n_frames,) names the sequence of each frame: frames of one sequence, which
-        look alike, then never stand on both sides of a fold.
+        look alike, then never stand on both sides of a fold. Where they are stretches of few
+        sequences, ``n_moments`` is how many there are in all: what is held out is then no room
+        never seen, and so many samples, not frames, say how sure one may be.
 
         Raises
         ------
@@ -102,8 +111,9 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
                 self._learn(X[train], index[train])
                 held_out[test] = self._logits(X[test])
             self._learn(X, index)
-        bounds = UNGROUPED_TEMPERATURES if groups is None else TEMPERATURES
-        self.temperature_ = _temperature(held_out, index, bounds)
+        is_alike = groups is None or n_moments is not None
+        bounds = UNGROUPED_TEMPERATURES if is_alike else TEMPERATURES
+        self.temperature_ = _temperature(held_out, index, bounds, n_moments)
         return self
 
     def predict_proba(self, X: Any) -> Array:
@@ -186,13 +196,26 @@ def _both_classes(weights: Array, n_classes: int) -> Array:
 
 
 def _temperature(
-    logits: NDArray[np.float32], index: NDArray[np.intp], bounds: tuple[float, float]
+    logits: NDArray[np.float32],
+    index: NDArray[np.intp],
+    bounds: tuple[float, float],
+    n_moments: int | None = None,
 ) -> float:
-    """Return what logits (n, n_classes) are best divided by, classes (n,) being true."""
+    """Return what logits (n, n_classes) are best divided by, classes (n,) being true.
+
+    With ``n_moments`` the truth counts as if it had been seen once beside every class before
+    (Laplace's rule of succession; as J. Platt, "Probabilistic outputs for support vector
+    machines", 1999, does it by samples).
+    """
+    n_classes: int = logits.shape[1]
 
     def surprise(log_temperature: float) -> float:
         scaled = log_softmax(logits.astype(np.float64) / np.exp(log_temperature), axis=1)
-        return float(-scaled[np.arange(len(index)), index].mean())
+        of_truth = float(-scaled[np.arange(len(index)), index].mean())
+        if n_moments is None:
+            return of_truth
+        of_any = float(-scaled.mean())
+        return (n_moments * of_truth + n_classes * of_any) / (n_moments + n_classes)
 
     logarithms = tuple(np.log(bounds))
     return float(np.exp(minimize_scalar(surprise, bounds=logarithms, method="bounded").x))

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.regions import Region, RegionParams, find_regions
-from slam_bof.scene_filter import SceneFilterParams, smooth
+from slam_bof.scene_filter import SceneFilterParams
+from slam_bof.scene_smoothing import smooth
 from slam_bof.types import Array, Keyframe, Scene
 
 __all__ = ["label_map"]
@@ -42,14 +43,17 @@ def label_map(
     """
     labels, regions = labels or SceneFilterParams(), regions or RegionParams()
     own = [(k, keyframe, keyframe.scene) for k, keyframe in enumerate(keyframes) if keyframe.scene]
-    positions_m = np.reshape(T_map_camera, (-1, 4, 4))[:, :3, 3]
-    at = [k for k, *_ in own]
+    T_map_camera = np.reshape(T_map_camera, (-1, 4, 4))
+    positions_m, at = T_map_camera[:, :3, 3], [k for k, *_ in own]
     found = smooth(
         [scene for *_, scene in own],
         [keyframe.stamp_s for _, keyframe, _ in own],
         positions_m[at],
         labels,
+        axes=T_map_camera[at, :3, 2],
+        parts=None if parts is None else np.asarray(parts)[at],
         segments=[keyframe.segment for _, keyframe, _ in own],
+        sessions=[keyframe.session for _, keyframe, _ in own],
     )
     scenes: list[Scene | None] = [None] * len(keyframes)
     for k, scene in zip(at, found, strict=True):

@@ -19,6 +19,7 @@ from slam_bof.labelled import (
     frames_of,
     moments,
     read_split,
+    sequence_names,
 )
 from slam_bof.scene_methods import DescriptorMethod, ModelMethod
 from slam_bof.scene_scores import SceneScores, score
@@ -80,7 +81,7 @@ def compare(
         Not fitted yet.
     groups
         The moment that each training frame shows, which no fold of a calibration splits; by
-        default ``labelled.moments``.
+        default its sequence, or a stretch of it (``labelled.moments``).
     on_progress
         Called with what is done, how much of it is, and of how much.
 
@@ -105,9 +106,10 @@ def compare(
             left_out[method.name] = f"no colour images in {', '.join(dark)}"
         else:
             judged.append(method)
+    sequences = sequence_names(split.train) if groups is None else groups
     groups = moments(split.train) if groups is None else groups
     with one_thread():
-        seen = _show(split.train, groups, judged, on_progress)
+        seen = _show(split.train, sequences, judged, on_progress)
         fitted = _fit(seen, split.train, groups, judged, left_out, on_progress)
         return _test(split, fitted, on_progress), left_out
 

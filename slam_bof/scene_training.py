@@ -8,15 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from slam_bof.errors import DatasetError
-from slam_bof.labelled import LabelledFrame, moments
+from slam_bof.labelled import LabelledFrame, cut_stretches, sequence_names
 from slam_bof.machines import Found, MachineName, search_svm
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams
 from slam_bof.scene_scores import SceneScores, score
 from slam_bof.scene_splits import Split, split_by_time
 from slam_bof.scenes import SceneClassifier
-from slam_bof.training import TrainingFrame, describe_frames, fit_model, train_model
-from slam_bof.types import Array
+from slam_bof.training import Descriptors, TrainingFrame, describe_frames, fit_model
 
 __all__ = ["TrainedScenes", "judge_model", "train_scenes"]
 
@@ -49,7 +48,7 @@ def train_scenes(
     seed: int = 0,
     on_progress: Progress = lambda what, done, total: None,
 ) -> TrainedScenes:
-    """Train a model on all frames.
+    """Train a model on all frames; each is read and described once.
 
     Parameters
     ----------
@@ -62,7 +61,8 @@ def train_scenes(
     n_words
         Of the vocabulary.
     levelled
-        Label levelled views, the product's way; without, bags of words, the paper's.
+        Label levelled views, the product's way; without, or with a classifier of bags or a
+        search for one, bags of words, the paper's.
     classifier
         One of ``machines.MACHINES`` on bags of words; by default a linear support vector machine.
     grid_search
@@ -84,39 +84,39 @@ def train_scenes(
     params = params or PlaceParams()
     split = split_by_time(frames) if check else Split(list(frames), list(frames))
     split.check()
+    levelled = levelled and classifier is None and not grid_search
+    described = describe_frames(_read(frames, on_progress), params, levelled=levelled)
+    numbers = {id(frame): k for k, frame in enumerate(frames)}
+    train, test = ([numbers[id(frame)] for frame in side] for side in (split.train, split.test))
     scenes = None if classifier is None else SceneClassifier(machine=classifier, seed=seed)
     found = None
-    if grid_search:
-        found = _search(split.train, params, n_words, seed, on_progress)
-        scenes = SceneClassifier(machine=found.name, C=found.C, gamma=found.gamma, seed=seed)
+    n_tasks, n_done = check + grid_search + 1, 0
 
-    def train(part: Sequence[LabelledFrame], what: str) -> Model:
+    def fit(part: Descriptors) -> Model:
         try:
-            return train_model(
-                _read(part, what, on_progress),
-                params,
-                n_words=n_words,
-                seed=seed,
-                trained_on=trained_on,
-                scenes=scenes,
-                levelled=levelled,
+            return fit_model(
+                part, params, n_words=n_words, seed=seed, trained_on=trained_on, scenes=scenes
             )
         except ValueError as error:
-            raise DatasetError(f"cannot train on {len(part)} frames: {error}") from error
+            raise DatasetError(f"cannot train on {len(part.labels)} frames: {error}") from error
 
+    on_progress("Training", n_done, n_tasks)
+    if grid_search:
+        found = _search(described.select(train), params, n_words, seed)
+        scenes = SceneClassifier(machine=found.name, C=found.C, gamma=found.gamma, seed=seed)
+        n_done += 1
+        on_progress("Training", n_done, n_tasks)
     scores = None
     if check:
-        scores = judge_model(train(split.train, "Checking"), split.test, on_progress=on_progress)
-    model = train(frames, "Training")
-    return TrainedScenes(model, scores, found, len(split.test) if check else 0)
+        scores = judge_model(fit(described.select(train)), described.select(test))
+        n_done += 1
+        on_progress("Training", n_done, n_tasks)
+    model = fit(described)
+    on_progress("Training", n_tasks, n_tasks)
+    return TrainedScenes(model, scores, found, len(test) if check else 0)
 
 
-def judge_model(
-    model: Model,
-    frames: Sequence[LabelledFrame],
-    *,
-    on_progress: Progress = lambda what, done, total: None,
-) -> SceneScores:
+def judge_model(model: Model, described: Descriptors) -> SceneScores:
     """Judge a model by frames with labels; those of classes it does not know count as wrong.
 
     Raises
@@ -124,51 +124,42 @@ def judge_model(
     DatasetError
         If the model was trained without labels.
     """
-    labeller = model.labeller()
-    if labeller is None:
+    if model.scenes is None:
         raise DatasetError("the model was trained without labels, expected some")
-    known: tuple[str, ...] = ()
-    rows: list[Array] = []
-    for done, item in enumerate(frames, start=1):
-        scene = labeller.label(item.read(gray=False)[0])
-        known = scene.classes
-        rows.append(scene.probabilities)
-        on_progress("Testing", done, len(frames))
-    classes = sorted({*known, *(frame.label for frame in frames)})
-    probabilities = np.zeros((len(rows), len(classes)))
-    probabilities[:, [classes.index(name) for name in known]] = rows
-    return score(probabilities, [frame.label for frame in frames], classes)
+    if model.levels is not None:
+        found = [model.levels.label_view(view) for view in described.views]
+    else:
+        found = [
+            model.scenes.predict_bag(model.tf_idf.bag(model.vocabulary.lookup(values)))
+            for values in described.of_frames()
+        ]
+    true = [label or "" for label in described.labels]
+    known = [str(name) for name in model.scenes.classes_]
+    classes = sorted({*known, *true})
+    probabilities = np.zeros((len(found), len(classes)))
+    columns = [classes.index(name) for name in known]
+    probabilities[:, columns] = [scene.probabilities for scene in found]
+    return score(probabilities, true, classes)
 
 
-def _search(
-    frames: Sequence[LabelledFrame],
-    params: PlaceParams,
-    n_words: int,
-    seed: int,
-    on_progress: Progress,
-) -> Found:
-    described = describe_frames(_read(frames, "Describing", on_progress), params)
+def _search(described: Descriptors, params: PlaceParams, n_words: int, seed: int) -> Found:
     words = min(n_words, max(len(described.values), 1))
     try:
         model = fit_model(described, params, n_words=words, seed=seed, trained_on="a search")
     except ValueError as error:
-        raise DatasetError(f"cannot search with {len(frames)} frames: {error}") from error
-    bags = np.zeros((len(frames), words))
-    of_frames = np.split(described.values, np.cumsum(described.counts)[:-1])
-    for row, values in zip(bags, of_frames, strict=True):
+        raise DatasetError(f"cannot search with {len(described.labels)} frames: {error}") from error
+    bags = np.zeros((len(described.labels), words))
+    for row, values in zip(bags, described.of_frames(), strict=True):
         bag = model.tf_idf.bag(model.vocabulary.lookup(values))
         row[bag.words] = np.sqrt(bag.weights)
-    y = np.array([frame.label for frame in frames])
-    folds = SceneClassifier(seed=seed).folds(y, moments(frames))
-    on_progress("Searching", 0, 1)
-    best, _ = search_svm(bags, y, folds, seed=seed)
-    on_progress("Searching", 1, 1)
+    y = np.array(described.labels)
+    groups = cut_stretches(y.tolist(), described.groups)
+    best, _ = search_svm(bags, y, SceneClassifier(seed=seed).folds(y, groups), seed=seed)
     return best
 
 
-def _read(
-    frames: Sequence[LabelledFrame], what: str, on_progress: Progress
-) -> Iterator[TrainingFrame]:
-    for done, (item, group) in enumerate(zip(frames, moments(frames), strict=True), start=1):
+def _read(frames: Sequence[LabelledFrame], on_progress: Progress) -> Iterator[TrainingFrame]:
+    names = sequence_names(frames)
+    for done, (item, group) in enumerate(zip(frames, names, strict=True), start=1):
         yield TrainingFrame(item.read(gray=False)[0], item.label, group)
-        on_progress(what, done, len(frames))
+        on_progress("Describing", done, len(frames))

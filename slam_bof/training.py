@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.labelled import cut_stretches
 from slam_bof.levels import LevelledView, LevelScenes, look
 from slam_bof.model import Model
 from slam_bof.places import PlaceParams, descriptors
@@ -23,6 +24,7 @@ __all__ = ["Descriptors", "TrainingFrame", "describe_frames", "fit_model", "trai
 class TrainingFrame:
     """A depth frame with its scene label, if it has one, and the sequence it comes from.
 
+    Frames of one ``group`` are in the order of time.
     ``gravity_camera`` (3,), the direction down, is needed for layers along gravity only.
     """
 
@@ -46,6 +48,21 @@ class Descriptors:
     labels: tuple[str | None, ...]
     groups: tuple[str, ...]
     views: tuple[LevelledView, ...] = ()
+
+    def of_frames(self) -> list[NDArray[np.float32]]:
+        """Return the descriptors of each of the N frames, (counts[k], n_values)."""
+        return np.split(self.values, np.cumsum(self.counts)[:-1])
+
+    def select(self, frames: Sequence[int]) -> Descriptors:
+        """Return those of some frames, by number, in that order."""
+        parts = self.of_frames()
+        return Descriptors(
+            np.concatenate([self.values[:0], *(parts[k] for k in frames)]),
+            self.counts[list(frames)],
+            tuple(self.labels[k] for k in frames),
+            tuple(self.groups[k] for k in frames),
+            tuple(self.views[k] for k in frames) if self.views else (),
+        )
 
 
 def train_model(
@@ -115,6 +132,9 @@ def fit_model(
 ) -> Model:
     """Fit words, idf and the scene classifier (``scenes``, or the default) to descriptors.
 
+    How sure to be is learnt from sequences (groups) held out; of classes that few of them show,
+    from stretches of these, for what is seen a moment before or after is no test.
+
     Raises
     ------
     ValueError
@@ -129,9 +149,13 @@ def fit_model(
     fitted = levels = None
     if len(set(labels.tolist())) > 1:
         bags = tf_idf.transform(counts)[labelled]
-        groups = np.array(described.groups)[labelled]
+        sequences = list(compress(described.groups, labelled))
+        groups = cut_stretches(labels.tolist(), sequences)
+        n_moments = len(set(groups)) if groups != sequences else None
         fitted = (scenes or SceneClassifier(seed=seed)).fit(bags, labels, groups)
         if described.views:
             views = list(compress(described.views, labelled))
-            levels = LevelScenes.learn(views, labels.tolist(), groups, seed=seed)
+            levels = LevelScenes.learn(
+                views, labels.tolist(), groups, n_moments=n_moments, seed=seed
+            )
     return Model(params, vocabulary, tf_idf, fitted, trained_on, levels)

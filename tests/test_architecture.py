@@ -19,7 +19,7 @@ _ROWS = """
     views gravity clouds live viewstack spectra panorama slices agreement alignment
     recogniser fusion tracking
     machines scenes levelled profile shapes network levels labelling
-    scene_filter regions scene_map images
+    scene_filter scene_smoothing regions scene_map images
     keyframes rankings loops covisibility parts consistency joining verification
     fitting witnesses aliases localization
     model single

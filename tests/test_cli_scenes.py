@@ -60,7 +60,8 @@ def test_train_searches_and_prints(boxes: Path, tmp_path: Path) -> None:
     assert result.stdout.startswith("Grid search: svm-")
     assert "precision" in result.stdout
     assert f"Model: {out}" in result.stdout
-    assert "Training: 60/60" in result.stderr
+    assert "Describing: 60/60" in result.stderr
+    assert "Training: 3/3" in result.stderr
 
 
 def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path: Path) -> None:
@@ -91,6 +92,9 @@ def test_training_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
     )
     assert "--descriptor levelled: found with --classifier, expected bof" in refusal(
         "train", *out, *hall, "--descriptor", "levelled", "--classifier", "knn"
+    )
+    assert "--descriptor: found 'bof-layers', expected levelled or bof" in refusal(
+        "train", *out, *hall, "--descriptor", "bof-layers", "--classifier", "mlp"
     )
     assert "--grid-search: found with --classifier knn" in refusal(
         "train", *out, *hall, "--grid-search", "--classifier", "knn"

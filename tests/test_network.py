@@ -43,6 +43,19 @@ def test_overconfidence_is_taken_back():
     assert network.predict_proba(unseen).max(axis=1).mean() < 0.75
 
 
+def test_a_few_moments_allow_no_more_certainty_than_their_number():
+    # Plain to tell apart, but only 6 stretches have been seen.
+    X, y, _ = views(0, spread=0.05)
+    groups = np.char.add(y, (np.arange(len(y)) >= len(y) // 2).astype(str))
+    sure, careful = (
+        SceneNetwork(n_hidden=16, n_networks=1, n_steps=300).fit(X, y, groups, n_moments=n)
+        for n in (None, 6)
+    )
+    np.testing.assert_array_equal(careful.hidden_, sure.hidden_)
+    assert sure.predict_proba(X).max(axis=1).mean() > 0.99
+    assert careful.predict_proba(X).max(axis=1).mean() == pytest.approx(7 / 9, abs=0.03)
+
+
 @pytest.mark.parametrize("n_classes", [2, 3])
 def test_the_arrays_answer_as_scikit_learns_network(n_classes):
     X, y, _ = views(0, n_classes=n_classes)

@@ -3,9 +3,12 @@ import pytest
 
 from slam_bof.contours import ContourParams
 from slam_bof.layers import LayerParams
+from slam_bof.levels import LevelledView
 from slam_bof.places import PlaceParams, descriptors
 from slam_bof.points import PointParams
-from slam_bof.training import TrainingFrame, describe_frames, train_model
+from slam_bof.profile import N_PROFILE
+from slam_bof.shapes import N_SHAPE
+from slam_bof.training import Descriptors, TrainingFrame, describe_frames, fit_model, train_model
 from slam_bof.types import DepthFrame, Intrinsics
 
 CAMERA = Intrinsics(width=40, height=30, fx=35.0, fy=35.0, cx=19.5, cy=14.5)
@@ -69,6 +72,16 @@ def test_frames_are_described_in_order_and_reported():
     assert described.groups == ("room-0",) * 4 + ("room-1",)
 
 
+def test_of_some_frames_all_is_kept():
+    described = describe_frames(frames(n=6), PARAMS, levelled=True)
+    some = described.select([4, 1])
+    each = described.of_frames()
+    np.testing.assert_array_equal(some.values, np.concatenate([each[4], each[1]]))
+    assert some.counts.tolist() == [len(each[4]), len(each[1])]
+    assert (some.labels, some.groups) == (("box", "cross"), ("room-1", "room-0"))
+    assert some.views == (described.views[4], described.views[1])
+
+
 def test_the_same_seed_gives_the_same_model():
     first, again, other = (
         train_model(frames(n=20), PARAMS, n_words=12, seed=seed, trained_on="boxes").content_hash
@@ -90,3 +103,22 @@ def test_too_few_frames_are_refused():
         train_model(frames(n=2), PARAMS, trained_on="boxes")
     with pytest.raises(ValueError, match=r"minimum of 1 is required|n_words"):
         train_model([], PARAMS, trained_on="nothing")
+
+
+def test_without_groups_confidence_is_learnt_on_stretches_of_time():
+    """Neighbours are alike, but what a class looks like changes from stretch to stretch."""
+
+    def sweep(seed: int, n: int = 60) -> list[LevelledView]:
+        rng = np.random.default_rng(seed)
+        places = np.repeat(rng.standard_normal((n // 12, N_PROFILE)), 12, axis=0)
+        places[:, 0] += seed % 2
+        profiles = (places + 0.02 * rng.standard_normal(places.shape)).astype(np.float32)
+        return [LevelledView(profile, np.zeros((1, N_SHAPE), np.float32)) for profile in profiles]
+
+    values = np.random.default_rng(0).random((240, PARAMS.bof.n_values), np.float32)
+    labels, none, counts = ("bath",) * 60 + ("hall",) * 60, ("",) * 120, np.full(120, 2)
+    described = Descriptors(values, counts, labels, none, (*sweep(0), *sweep(1)))
+    levels = fit_model(described, PARAMS, n_words=4, trained_on="sweeps").levels
+    fresh = [levels.label_view(v) for seed in range(2, 12) for v in sweep(seed)[::12]]
+    right = np.mean([s.label == ("bath", "hall")[k // 5 % 2] for k, s in enumerate(fresh)])
+    assert np.mean([scene.probability for scene in fresh]) < right + 0.15

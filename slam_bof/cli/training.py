@@ -36,10 +36,11 @@ def train(
         ),
     ] = None,
     descriptor: Annotated[
-        Literal["levelled", "bof"] | None,
+        str | None,
         typer.Option(
+            metavar="levelled|bof",
             help="What labels go by: levelled views, the default, or bof: bags of words, the "
-            "paper's way, and the default with --classifier or --grid-search."
+            "paper's way, and the default with --classifier or --grid-search.",
         ),
     ] = None,
     layers: Annotated[
@@ -48,7 +49,10 @@ def train(
     n_words: Annotated[int, typer.Option("--words", min=2, help="Of the vocabulary.")] = 1024,
     classifier: Annotated[
         Classifier | None,
-        typer.Option(help="Of bags of words; by default svm-linear."),
+        typer.Option(
+            help="Of bags of words; by default svm-linear. mlp is a neural network on bags; one on "
+            "the BOF of each layer is compared by evaluate scenes --methods bof-layers:mlp."
+        ),
     ] = None,
     grid_search: Annotated[
         bool,
@@ -74,6 +78,11 @@ def train(
 
     The figures printed are of frames held out, by a model trained like it on the others.
     """
+    if descriptor not in (None, "levelled", "bof"):
+        raise ConfigError(
+            f"--descriptor: found {descriptor!r}, expected levelled or bof, which a model file can "
+            "hold; evaluate scenes --methods compares others, such as bof-layers:mlp"
+        )
     of_bags = grid_search or classifier is not None
     if descriptor == "levelled" and of_bags:
         given = "--grid-search" if grid_search else "--classifier"
