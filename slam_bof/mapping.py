@@ -86,7 +86,8 @@ def write_views(
     grey = np.rint(255 * share).astype(np.uint8).reshape(-1, 1)
     rgb: Array = np.zeros((0, 3))
     if len(grey):
-        rgb = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1] / 255.0
+        turbo = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1]
+        rgb = turbo.astype(np.float64) / 255.0
     ends = np.cumsum([len(cloud) for cloud in clouds])[:-1]
     return _write(path, zip(clouds, np.split(rgb, ends), strict=True), voxel_size_m)
 
