@@ -45,17 +45,17 @@ def export_map(
         their labels (``csv``), the pose graph (``g2o``), a cloud (``ply``), or a plan of ROS's
         map_server (``occupancy``, YAML, with a PNG beside it).
     session
-        Only its keyframes; not of the graph.
+        Only its keyframes; a graph is of all.
     all_frames
-        Of poses: every frame of the session, not only keyframes.
+        Of poses: every frame of the session, not only keyframes; of the only one without a number.
     voxel_size_m, occupancy
         Of the cloud, and of the plan.
 
     Raises
     ------
     MapError
-        If the map is not finished, there is no such session, or it has no depth images where
-        these are asked for.
+        If the map is not finished, there is no such session, stamps of several do not grow, or
+        it has no depth images where these are asked for.
     """
     keyframes, poses = store.keyframes(), store.map_poses()
     if session is not None and session not in {s.id for s in store.sessions()}:
@@ -66,18 +66,9 @@ def export_map(
     if format_ == "csv":
         return _write_csv(store, path, set(own))
     if format_ in ("tum", "kitti"):
-        stamps_s = np.array([keyframes[k].stamp_s for k in own])
-        trajectory = Trajectory(stamps_s, poses[own].reshape(-1, 4, 4))
-        if all_frames:
-            trajectory = session_trajectory(store, session or 0)
-        known = np.isfinite(trajectory.poses).all(axis=(1, 2))
-        trajectory = Trajectory(trajectory.stamps_s[known], trajectory.poses[known])
-        (write_tum if format_ == "tum" else write_kitti)(path, trajectory)
-        return len(trajectory)
+        return _write_poses(store, path, format_, own, session, all_frames=all_frames)
     if not np.isfinite(poses).all():
-        raise MapError(
-            f"{store.path}: found poses of an interrupted run, expected a finished one: resume it"
-        )
+        raise _interrupted(store)
     if format_ == "g2o":
         options = configs.parse(store.sessions()[-1].config, str(store.path)).backend.options
         sigmas = {
@@ -98,6 +89,41 @@ def session_trajectory(store: MapStore, session: int) -> Trajectory:
     own = [k for k in store.keyframes() if k.session == session]
     poses = store.map_poses()[[k.id for k in own]]
     return History(store.frames(session)).trajectory(own, poses)
+
+
+def _write_poses(
+    store: MapStore,
+    path: Path,
+    format_: str,
+    ids: list[int],
+    session: int | None,
+    *,
+    all_frames: bool,
+) -> int:
+    keyframes, poses = store.keyframes(), store.map_poses()
+    if ids and not np.isfinite(poses[ids]).any():
+        raise _interrupted(store)
+    several = session is None and len(store.sessions()) > 1
+    if all_frames and not several:
+        trajectory = session_trajectory(store, session or 0)
+    else:
+        stamps_s = np.array([keyframes[k].stamp_s for k in ids])
+        trajectory = Trajectory(stamps_s, poses[ids].reshape(-1, 4, 4))
+    if several and (all_frames or (format_ == "tum" and (np.diff(trajectory.stamps_s) <= 0).any())):
+        raise MapError(
+            f"{store.path}: found {len(store.sessions())} sessions, each with a time of its own, "
+            "expected one of them: --session"
+        )
+    known = np.isfinite(trajectory.poses).all(axis=(1, 2))
+    trajectory = Trajectory(trajectory.stamps_s[known], trajectory.poses[known])
+    (write_tum if format_ == "tum" else write_kitti)(path, trajectory)
+    return len(trajectory)
+
+
+def _interrupted(store: MapStore) -> MapError:
+    return MapError(
+        f"{store.path}: found poses of an interrupted run, expected a finished one: resume it"
+    )
 
 
 def _views(store: MapStore, ids: list[int]) -> Iterator[DepthFrame]:

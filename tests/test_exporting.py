@@ -1,5 +1,7 @@
 """A saved map in other programs' formats, read back with their readers."""
 
+from dataclasses import replace
+
 import cv2
 import gtsam
 import numpy as np
@@ -128,9 +130,22 @@ def test_the_plan_agrees_with_the_room(turn, room):
 def test_what_cannot_be_exported_is_named(tmp_path):
     with MapStore.create(tmp_path / "map.db") as store:
         save(store, make_keyframe(0))
-        for format_ in ("g2o", "ply", "occupancy"):
+        for format_ in ("tum", "g2o", "ply", "occupancy"):
             with pytest.raises(MapError, match="an interrupted run, expected a finished one"):
                 export_map(store, tmp_path / "out", format_)
-        assert export_map(store, tmp_path / "out", "tum") == 0
     with pytest.raises(MapError, match="found no surface in 0 keyframes"):
         make_grid([], np.empty((0, 4, 4)))
+
+
+def test_sessions_with_a_time_of_their_own_are_exported_one_by_one(tmp_path):
+    with MapStore.create(tmp_path / "map.db") as store:
+        for id_, session in ((0, 0), (1, 0), (2, 1), (3, 1)):
+            keyframe = make_keyframe(id_, session=session)
+            save(store, replace(keyframe, frame_index=id_ % 2, stamp_s=id_ % 2), n_frames=1)
+        for session in (0, 1):
+            store.finish(session, SessionResult([], np.tile(np.eye(4), (4, 1, 1)), [None] * 4, []))
+        for all_frames in (False, True):
+            with pytest.raises(MapError, match="found 2 sessions, each with a time of its own"):
+                export_map(store, tmp_path / "out", "tum", all_frames=all_frames)
+            assert export_map(store, tmp_path / "out", "tum", session=1, all_frames=all_frames) == 2
+        assert export_map(store, tmp_path / "out", "kitti") == 4

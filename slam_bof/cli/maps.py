@@ -51,7 +51,7 @@ def export(
     ] = None,
     all_frames: Annotated[
         bool,
-        typer.Option("--all-frames", help="Of tum, kitti: every frame of a session (0)."),
+        typer.Option("--all-frames", help="Of tum, kitti: every frame of the session."),
     ] = False,
     voxel: Annotated[
         float, typer.Option(min=0.001, metavar="M", help="Of ply: one point in each voxel.")
@@ -75,6 +75,8 @@ def export(
 
     if all_frames and format_ not in ("tum", "kitti"):
         raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
+    if session is not None and format_ == "g2o":
+        raise ConfigError("--session: found with g2o, expected without: a graph is of all sessions")
     if min_height >= max_height:
         raise ConfigError(f"--min-height: found {min_height}, expected below {max_height}")
     plan = OccupancyParams(
