@@ -91,6 +91,7 @@ class PoseFusion:
         T_predicted = self.predict(T_odometry)
         off = se3.log(se3.inverse(T_predicted) @ T_aligned)
         of_drift, of_pose = self._gains()
+        # As long as nothing is known, anything is a slip.
         if (_square(off) > SLIP**2 * self._difference).any():
             of_drift = of_pose = np.ones(2)
         T_corrected = T_predicted @ se3.exp(off * of_drift.repeat(3))

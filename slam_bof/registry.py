@@ -47,6 +47,7 @@ PIP_NAMES = {"cv2": "opencv-python-headless", "sklearn": "scikit-learn", "yaml":
 
 N_LISTED = 8
 """How many entries of a folder an error lists."""
+HINT = "--dataset NAME says what it lacks to be one of them"
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,10 +209,11 @@ def recognise_dataset(path: Path) -> Recognition:
     layouts = ", ".join(names("datasets")) or "none installed"
     if path.is_dir():
         expected = f"found no known layout, expected one of: {layouts}"
-        said = "; ".join([expected, _content(path), *missing])
+        said = "; ".join([expected, _content(path), HINT, *missing])
     else:
-        expected = f"found a file, expected the folder of a sequence, or a file that {layouts} read"
-        said = "; ".join([expected, *missing])
+        found_file = "a file" if path.stat().st_size else "an empty file"
+        expected = f"expected the folder of a sequence, or a file that one of {layouts} reads"
+        said = "; ".join([f"found {found_file}, {expected}", HINT, *missing])
     raise DatasetError(f"{path}: {said}")
 
 

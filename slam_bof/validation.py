@@ -36,6 +36,8 @@ def describe_error(error: ValidationError, model: type[BaseModel]) -> str:
     key = ".".join(path)
     if first["type"] == "extra_forbidden":
         return f"unknown key {key!r}; {suggest(path[-1], _keys(model, path[:-1]))}"
+    if first["type"] == "missing":
+        return f"key {key!r}: found none, expected one"
     message = first["msg"].removeprefix("Value error, ")
     expected = message[:1].lower() + message[1:]
     return f"key {key!r}: found {first['input']!r}, {expected}" if key else expected

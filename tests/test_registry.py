@@ -197,5 +197,7 @@ def test_an_unknown_layout_is_told_with_what_is_there_and_who_was_not_asked(tmp_
     (folder / "00").mkdir()
     (folder / "00" / "mine").touch()
     assert f"did you mean {folder / '00'} (mine)?" in refused(folder)
+    assert "00.txt: found an empty file, expected the folder of" in refused(folder / "00.txt")
+    (folder / "00.txt").write_text("hello")
     assert "00.txt: found a file, expected the folder of a sequence" in refused(folder / "00.txt")
     assert "none: found nothing, expected the folder" in refused(folder / "none")

@@ -153,12 +153,16 @@ def bag_kind(path: Path) -> str:
 
 def find_bag(path: Path) -> Path | None:
     """Return the bag that a path names, or the only one in the folder; None without one."""
-    if not path.is_dir():
-        return path if path.suffix in KINDS else None
-    if (path / METADATA).is_file() and bag_kind(path):
-        return path
-    bags = [file for file in path.iterdir() if file.suffix in KINDS and file.is_file()]
+    bags = _bags(path)
     return bags[0] if len(bags) == 1 else None
+
+
+def _bags(path: Path) -> list[Path]:
+    if not path.is_dir():
+        return [path] if path.suffix in KINDS else []
+    if (path / METADATA).is_file() and bag_kind(path):
+        return [path]
+    return sorted(file for file in path.iterdir() if file.suffix in KINDS and file.is_file())
 
 
 def open_bag(path: Path) -> BagFile:
@@ -171,8 +175,9 @@ def open_bag(path: Path) -> BagFile:
     """
     bag_path = find_bag(path)
     if bag_path is None:
+        found = ", ".join(bag.name for bag in _bags(path)) or "no bag"
         raise DatasetError(
-            f"{path}: found no bag, expected one .bag, .mcap or .db3 file, "
+            f"{path}: found {found}, expected one .bag, .mcap or .db3 file, "
             "or a folder with metadata.yaml"
         )
     kind = bag_kind(bag_path)

@@ -87,12 +87,12 @@ class Replica:
             )
         numbers = sorted(found)
         files = [found[number] for number in numbers]
-        intrinsics, units_per_m = _read_camera(path)
+        intrinsics, units_per_m, source = _read_camera(path)
         height, width = check_depth_files(files)
         if (width, height) != (intrinsics.width, intrinsics.height):
             raise DatasetError(
                 f"{files[0]}: found {width}x{height} pixels, "
-                f"expected {intrinsics.width}x{intrinsics.height} as the camera has"
+                f"expected {intrinsics.width}x{intrinsics.height} as {source} has it"
             )
         return cls(path, files, numbers, intrinsics, units_per_m)
 
@@ -148,16 +148,19 @@ def _depth_files(path: Path) -> dict[int, Path]:
     return {int(match[1]): file for match, file in matches if match}
 
 
-def _read_camera(scene: Path) -> tuple[Intrinsics, float]:
+def _read_camera(scene: Path) -> tuple[Intrinsics, float, str]:
+    """Return the camera, units of depth a metre, and where they are from."""
     camera: dict[str, Any] = {**KNOWN_CAMERA, "scale": KNOWN_UNITS_PER_M}
+    source = "NICE-SLAM, since there is no cam_params.json,"
     for file in (scene / "cam_params.json", scene.resolve().parent / "cam_params.json"):
         if file.is_file():
-            camera = _read_json(file)
+            camera, source = _read_json(file), file.name
             break
     else:
         logger.info("%s: no cam_params.json; taking the camera of NICE-SLAM's renderings", scene)
     width, height, *pinhole = (camera[key] for key in KNOWN_CAMERA)
-    return Intrinsics(int(width), int(height), *map(float, pinhole)), float(camera["scale"])
+    intrinsics = Intrinsics(int(width), int(height), *map(float, pinhole))
+    return intrinsics, float(camera["scale"]), source
 
 
 def _read_json(file: Path) -> dict[str, Any]:
@@ -166,7 +169,9 @@ def _read_json(file: Path) -> dict[str, Any]:
         camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["camera"]
         if not all(float(camera[key]) > 0.0 for key in (*KNOWN_CAMERA, "scale")):
             raise ValueError("a number that is not positive")
-    except (OSError, KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise DatasetError(f"{file}: found no key {error}, expected {expected}") from error
+    except (OSError, TypeError, ValueError) as error:
         raise DatasetError(f"{file}: found {error!r}, expected {expected}") from error
     return camera
 

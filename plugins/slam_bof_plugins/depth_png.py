@@ -89,7 +89,7 @@ def _header_size(where: Path | str, data: bytes) -> tuple[int, int]:
         kind = "a palette" if colour == PALETTE else "colour"
         raise DatasetError(f"{where}: found a PNG in {kind}, expected depth: 16-bit grey")
     if bits != 16:
-        raise DatasetError(f"{where}: found a {bits}-bit PNG, expected depth: 16-bit grey")
+        raise DatasetError(f"{where}: found a PNG of {bits} bits, expected depth: 16-bit grey")
     return height, width
 
 

@@ -28,7 +28,7 @@ class SmallGicpParams(Params):
     max_distance_m: float = Field(0.15, gt=0, description="between a point and its voxel's mean")
     max_iterations: int = Field(20, gt=0)
     convergence: tuple[float, float] = Field((1e-4, 1e-4), description="steps, rad and m")
-    map_frames: int = Field(100, gt=0, description="after which a voxel unseen is forgotten")
+    map_frames: int = Field(400, gt=0, description="after which a voxel unseen is forgotten")
     min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")
 
 

@@ -121,8 +121,10 @@ def open_sens(path: Path) -> SensFile:
 
 def _index(path: Path, file: BinaryIO, size: int) -> SensFile:
     version, length = _unpack(path, file, struct.Struct("<IQ"), "the header")
-    if version != VERSION or length > LONGEST_NAME:
+    if version != VERSION:
         raise DatasetError(f"{path}: found version {version}, expected a .sens file of version 4")
+    if length > LONGEST_NAME:
+        raise DatasetError(f"{path}: found a name of {length} bytes, expected a .sens file")
     file.seek(length, 1)
     header = _unpack(path, file, FIXED, "the header")
     matrices = np.array(header[:64], dtype=np.float64).reshape(4, 4, 4)

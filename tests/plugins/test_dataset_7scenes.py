@@ -197,7 +197,7 @@ def test_damaged_depth_is_refused_at_the_start_and_told_of_in_the_middle(
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        (np.zeros((HEIGHT, WIDTH), np.uint8), "found a 8-bit PNG, expected depth: 16-bit grey"),
+        (np.zeros((HEIGHT, WIDTH), np.uint8), "found a PNG of 8 bits, expected depth: 16-bit grey"),
         (np.zeros((HEIGHT, WIDTH, 3), np.uint8), "found a PNG in colour, expected depth"),
         (np.zeros((HEIGHT, WIDTH, 3), np.uint16), "found a PNG in colour, expected depth"),
     ],

@@ -110,7 +110,7 @@ def test_mislabelled_files_are_refused(tmp_path: Path) -> None:
     text = tmp_path / "text.bag"
     text.write_text("no bag")
     assert "text.bag: found something else, expected a ROS 1 bag" in refusal("bag", text)
-    assert "found no bag, expected one .bag, .mcap or .db3 file" in refusal("bag", tmp_path)
+    assert "found text.bag, toy.bag, wrong.bag, expected one .bag" in refusal("bag", tmp_path)
     assert "found a ROS 1 bag, expected an MCAP file" in refusal(
         "bag", bag.rename(tmp_path / "wrong.mcap")
     )

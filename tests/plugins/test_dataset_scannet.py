@@ -169,6 +169,7 @@ def test_damage_in_one_frame_is_told_when_it_is_read(tmp_path: Path) -> None:
         (lambda path: write_sens(path, depth_coding=2), "found depth coded as occi_ushort"),
         (lambda path: write_sens(path, units_per_m=0.0), "and 0.0 units a metre, expected"),
         (lambda path: path.write_bytes(b"\x89PNG" * 99), "expected a .sens file of version 4"),
+        (lambda path: path.write_bytes(b"\4\0\0\0" + b"PNG" * 99), "found a name of 5"),
     ],
 )
 def test_other_files_are_refused(

@@ -155,7 +155,7 @@ def test_images_that_are_no_depth_are_refused(folder: Path) -> None:
     write_png(file, ramp()[:12])
     assert f"{file}: found 32x12 pixels, expected 32x24" in refusal("tum", folder)
     write_png(file, ramp().astype(np.uint8))
-    assert f"{file}: found a 8-bit PNG" in refusal("tum", folder)
+    assert f"{file}: found a PNG of 8 bits" in refusal("tum", folder)
 
 
 def test_poses_that_are_none_are_refused(folder: Path) -> None:
