@@ -83,10 +83,9 @@ def write_views(
     heights_m = -np.concatenate([cloud @ down for cloud in clouds]) if clouds else np.zeros(0)
     low, high = np.percentile(heights_m, [1.0, 99.0]) if len(heights_m) else (0.0, 1.0)
     share = np.clip((heights_m - low) / max(high - low, 1e-9), 0.0, 1.0)
-    grey = np.rint(255 * share).astype(np.uint8).reshape(-1, 1)
-    rgb: Array = np.zeros((0, 3))
-    if len(grey):
-        rgb = cv2.applyColorMap(grey, cv2.COLORMAP_TURBO)[:, 0, ::-1] / 255.0
+    grey = np.rint(255 * share).astype(np.uint8)
+    shades = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)
+    rgb = shades[grey, 0, ::-1] / 255.0
     ends = np.cumsum([len(cloud) for cloud in clouds])[:-1]
     return _write(path, zip(clouds, np.split(rgb, ends), strict=True), voxel_size_m)
 
