@@ -54,6 +54,7 @@ class MapFile:
             new = path.with_name(f".{path.name}.new")
             with naming_errors(path):
                 new.unlink(missing_ok=True)
+                on_error.callback(new.unlink, missing_ok=True)
                 db = connect(new, "rwc")
                 with contextlib.closing(db):
                     db.executescript(SCHEMA)
@@ -61,6 +62,7 @@ class MapFile:
                 db = connect(path, "rw")
                 on_error.callback(db.close)
                 db.execute("PRAGMA journal_mode = WAL")
+            lock.hold(path)
             on_error.pop_all()
         return cls(path, db, lock=lock)
 
@@ -90,8 +92,9 @@ class MapFile:
                         f"{path}: found damage in what says how it is read ({wrong}); "
                         "slam-bof map recover saves what is whole into a new map"
                     )
-                if not read_only:
+                if lock is not None:
                     db.execute("PRAGMA journal_mode = WAL")
+                    lock.hold(path)
             on_error.pop_all()
         return cls(path, db, lock=lock)
 
@@ -133,7 +136,12 @@ class MapFile:
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Commit all that the block writes or, on an error, nothing."""
+        """Commit all that the block writes or, on an error, nothing.
+
+        ``MapError`` if the file was removed meanwhile: SQLite would go on with what no one sees.
+        """
+        if self._lock is not None and not self._lock.is_of(self.path):
+            raise MapError(f"{self.path}: found it removed or replaced while it was being written")
         with naming_errors(self.path):
             self._db.execute("BEGIN IMMEDIATE")
             try:
@@ -176,6 +184,17 @@ class _WriterLock:
             if self._is_current():
                 return
             os.close(self._descriptor)  # of a file that the last writer has just removed
+
+    def hold(self, path: Path) -> None:
+        """Note which file it is that is written."""
+        self._written = path.stat()
+
+    def is_of(self, path: Path) -> bool:
+        """Tell whether a path still is of the file that is written."""
+        try:
+            return os.path.samestat(self._written, path.stat())
+        except FileNotFoundError:
+            return False
 
     def release(self) -> None:
         """Let others write."""

@@ -168,6 +168,24 @@ def test_a_full_disk_is_named_and_loses_nothing(filled: MapStore) -> None:
     assert len(filled.keyframes()) == 6
 
 
+@pytest.mark.parametrize("then", ["nothing", "another"])
+def test_a_map_that_is_removed_while_it_is_written_is_missed(filled: MapStore, then: str) -> None:
+    filled.path.unlink()
+    if then == "another":
+        filled.path.write_bytes(b"precious")
+    with pytest.raises(MapError, match=r"map\.db: found it removed or replaced while it was"):
+        save(filled, make_keyframe(6))
+    filled.close()
+    assert filled.path.exists() == (then == "another")
+
+
+def test_a_map_that_cannot_be_made_leaves_nothing(path: Path) -> None:
+    (path.parent / ".map.db.new-journal").mkdir()
+    with pytest.raises(MapError, match="cannot be opened"):
+        MapStore.create(path)
+    assert os.listdir(path.parent) == [".map.db.new-journal"]
+
+
 def test_a_finished_map_can_be_read_where_nothing_can_be_written(filled: MapStore) -> None:
     filled.close()
     folder = filled.path.parent / "medium"
