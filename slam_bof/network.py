@@ -203,9 +203,9 @@ def _temperature(
 ) -> float:
     """Return what logits (n, n_classes) are best divided by, classes (n,) being true.
 
-    With ``n_moments`` the truth counts as if it had been seen once beside every class before
-    (Laplace's rule of succession; as J. Platt, "Probabilistic outputs for support vector
-    machines", 1999, does it by samples).
+    With ``n_moments`` the truth counts for (n + 1) / (n + 2) only, as J. Platt has it with the
+    number of samples ("Probabilistic outputs for support vector machines", 1999): that so many
+    were right does not tell that the next one will be.
     """
     n_classes: int = logits.shape[1]
 
@@ -214,8 +214,8 @@ def _temperature(
         of_truth = float(-scaled[np.arange(len(index)), index].mean())
         if n_moments is None:
             return of_truth
-        of_any = float(-scaled.mean())
-        return (n_moments * of_truth + n_classes * of_any) / (n_moments + n_classes)
+        of_others = (float(-scaled.sum(axis=1).mean()) - of_truth) / (n_classes - 1)
+        return ((n_moments + 1) * of_truth + of_others) / (n_moments + 2)
 
     logarithms = tuple(np.log(bounds))
     return float(np.exp(minimize_scalar(surprise, bounds=logarithms, method="bounded").x))
