@@ -14,6 +14,9 @@ __all__ = ["BofParams", "describe"]
 
 Complex = NDArray[np.complex128]
 
+POINT_PX = 1e-6
+"""What reaches no farther is a point, whose radii are zero but for rounding."""
+
 
 class BofParams(Params):
     """How a contour is sampled, and where its descriptor begins.
@@ -78,7 +81,7 @@ def describe(contours: Contours, params: BofParams) -> NDArray[np.float32]:
             ]
         )
     largest = radii.max(axis=1, keepdims=True)
-    radii /= np.where(largest > 0, largest, 1.0)
+    radii /= np.where(largest > POINT_PX, largest, np.inf)
     if params.start == "farthest":
         first = radii.argmax(axis=1)[:, None]
         shifted = (first + np.arange(params.n_points)) % params.n_points

@@ -35,6 +35,13 @@ def test_descriptors_equal_the_oracle(shapes):
     np.testing.assert_allclose(descriptors, expected, atol=1e-5)
 
 
+def test_a_point_among_others_is_a_point():
+    """Rounding of the one walked before must not become radii."""
+    tangle = [[10, -49], [137, 109], [137, 137], [30, 137], [-8, 137], [137, 84], [137, 137]]
+    shapes = [np.array(tangle, np.int32), np.zeros((1, 2), np.int32)]
+    assert not describe(contours_of(*shapes), BofParams(n_points=30))[1].any()
+
+
 @given(arrays(np.int32, (20,), elements=st.integers(20, 100)), st.booleans())
 def test_descriptors_by_angle_equal_the_oracle(radii, clockwise):
     angle = np.linspace(0.1, 2 * np.pi + 0.1, 20, endpoint=False) * (1 if clockwise else -1)

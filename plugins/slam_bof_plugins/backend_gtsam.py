@@ -108,11 +108,7 @@ class GtsamBackend:
             step = self._estimate.atPose3(key - 1).between(self._estimate.atPose3(key))
             factor = gtsam.BetweenFactorPose3(key - 1, key, step, self._lost_noise)
             self._odometry.replace(key, factor)
-        self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
-        self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
-        for loop in self._loops:
-            self._new_factors.add(self._robust(*loop))
-        self._new_values = gtsam.Values(self._estimate)
+        self._start_afresh(gtsam.ISAM2Params())
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.
@@ -132,7 +128,14 @@ class GtsamBackend:
 
     def update(self) -> None:
         """Bring the estimate up to date with the factors added since the last call."""
-        self._isam.update(self._new_factors, self._new_values)
+        try:
+            self._isam.update(self._new_factors, self._new_values)
+        except RuntimeError:
+            # Cholesky's squares may lose what ties a variable; QR is slower and does not.
+            params = gtsam.ISAM2Params()
+            params.setFactorization("QR")
+            self._start_afresh(params)
+            self._isam.update(self._new_factors, self._new_values)
         self._new_factors, self._new_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if self._has_new_loop:
             for _ in range(self.params.n_updates - 1):
@@ -171,6 +174,14 @@ class GtsamBackend:
             # Robust models have no place in the format: the plain one is written.
             graph.add(gtsam.BetweenFactorPose3(*edge, noise))
         gtsam.writeG2o(graph, self._estimate, str(path))
+
+    def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
+        """Let the next update take the whole graph, from the estimate so far."""
+        self._isam = gtsam.ISAM2(params)
+        self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
+        for loop in self._loops:
+            self._new_factors.add(self._robust(*loop))
+        self._new_values = gtsam.Values(self._estimate)
 
     def _placed(self) -> Array:
         """Return odometry (K, 4, 4) with each segment where the map has its first node."""
