@@ -81,12 +81,20 @@ class JoinGate:
         return []
 
     def _has_looked_about(self, loops: Iterable[Loop], T_map_camera: Array) -> bool:
-        """Tell whether the queries, all of one part, see enough of the place."""
+        """Tell whether the queries, or the matches, of either one part, see enough of the place.
+
+        Any two of them may be those that look the most different ways, so that it does not matter
+        which part came first.
+        """
         p = self.params
-        query_ids = sorted({loop.query_id for loop in loops})
-        T = se3.inverse(T_map_camera[query_ids[0]]) @ T_map_camera[query_ids]
-        walked_m = np.linalg.norm(T[:, :3, 3], axis=1).max()
-        return bool(se3.rotation_angle(T).max() >= p.look_about_rad or walked_m >= p.walk_about_m)
+        loops = list(loops)
+        for ids in ({loop.query_id for loop in loops}, {loop.match_id for loop in loops}):
+            T = T_map_camera[sorted(ids)]
+            apart = se3.inverse(T)[:, None] @ T
+            walked_m = np.linalg.norm(apart[..., :3, 3], axis=-1).max()
+            if se3.rotation_angle(apart).max() >= p.look_about_rad or walked_m >= p.walk_about_m:
+                return True
+        return False
 
     def _is_free(self, loop: Loop, T_map_camera: Array, parts: NDArray[np.integer[Any]]) -> bool:
         """Tell whether either part leaves free what the other sees through, were they joined so.

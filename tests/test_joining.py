@@ -75,8 +75,8 @@ def test_one_that_disagrees_is_not_taken_along(looked_about):
 def test_views_down_one_hall_are_too_little(walked_down):
     loops = [loop(walked_down, i) for i in range(N)]
     assert admit(JoinGate(JoinParams(), Compare()), loops, walked_down) == []
-    easy = JoinGate(JoinParams(walk_about_m=1.0), Compare())
-    assert admit(easy, loops, walked_down) == [(i, i) for i in range(6)]
+    easy = JoinGate(JoinParams(walk_about_m=0.95), Compare())
+    assert admit(easy, loops[:8], walked_down) == [(i, i) for i in range(6)]
 
 
 def test_neither_part_may_stand_where_the_other_looked_through(looked_about):
