@@ -7,11 +7,14 @@ plug-ins, and the Python reference has one page for each room of the package.
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import annotated_types
+import griffe
+import slam_bof
 import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -19,13 +22,35 @@ from pydantic.fields import FieldInfo
 from slam_bof import Config
 from slam_bof.cli import app
 from slam_bof.core import registry
+from slam_bof.errors import PluginError
 from slam_bof.types import Params
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "slam_bof"
+DISTRIBUTION = "slam-bof"
 UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "degrees", "px": "px"}
 """Units by the suffix of a parameter's name."""
+NOT_SHOWN = {"cli"}
+"""Rooms without a page of the Python reference: the commands have a page of their own."""
 PROJECT_PAGES = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
+
+
+DOCTEST = re.compile(r"((?:^[ ]*>>> .*\n?)(?:^[ ]*\S.*\n?)*)", flags=re.MULTILINE)
+"""Lines of an example up to the next empty one."""
+
+
+class FencedDoctests(griffe.Extension):
+    """Shows the examples in docstrings as code, wherever they stand in them."""
+
+    def on_object(self, *, obj: griffe.Object, **kwargs: Any) -> None:
+        """Put fences around the examples of a docstring."""
+        if obj.docstring and "Examples\n---" not in obj.docstring.value:
+            text = re.sub(r"[ ]*# doctest: \+\w+", "", obj.docstring.value)
+            obj.docstring.value = DOCTEST.sub(_fenced, text)
+
+
+def _fenced(match: re.Match[str]) -> str:
+    return f"```pycon\n{match[1].rstrip()}\n```\n"
 
 
 def on_config(config: MkDocsConfig) -> MkDocsConfig:
@@ -65,7 +90,7 @@ def rooms() -> dict[str, list[str]]:
     for path in sorted(PACKAGE.iterdir()):
         if path.suffix == ".py" and path.stem != "__init__":
             found[path.stem] = []
-        elif (path / "__init__.py").is_file():
+        elif (path / "__init__.py").is_file() and path.name not in NOT_SHOWN:
             files = sorted(path.rglob("*.py"))
             names = (".".join(f.relative_to(path).with_suffix("").parts) for f in files)
             found[path.name] = [n for n in names if "__init__" not in n and "__main__" not in n]
@@ -142,18 +167,24 @@ def plugin_options_page() -> str:
     ]
     for port in registry.PORTS:
         lines += [f"## {port}", ""]
-        for name in registry.names(port):
-            if registry.missing(port, name):
-                lines += [f"### {name}", "", "Its library is not installed here.", ""]
-                continue
-            plugin = registry.load(port, name)
-            summary = (plugin.__doc__ or "").strip().splitlines()[:1]
-            lines += [f"### {name}", "", *summary, ""]
-            params = getattr(plugin, "Params", None)
-            if params is not None and params.model_fields:
-                lines += _table(params, params())
-                lines += _params_sections(params, params(), "", level=4)
+        for plugin in registry.listing():
+            if plugin.port == port and plugin.distribution == DISTRIBUTION:
+                lines += _plugin_section(plugin)
     return "\n".join(lines)
+
+
+def _plugin_section(plugin: registry.Listing) -> list[str]:
+    lines = [f"### {plugin.name}", ""]
+    try:
+        kind = registry.load(plugin.port, plugin.name)
+    except PluginError as error:  # a library that is optional
+        return [*lines, f"Its options cannot be shown: {error}.", ""]
+    lines += [*(kind.__doc__ or "").strip().splitlines()[:1], ""]
+    params = getattr(kind, "Params", None)
+    if params is not None and params.model_fields:
+        values = params.model_construct()
+        lines += [*_table(params, values), *_params_sections(params, values, "", level=4)]
+    return lines
 
 
 def _params_sections(kind: type[Params], values: Any, path: str, level: int = 2) -> list[str]:
@@ -164,7 +195,7 @@ def _params_sections(kind: type[Params], values: Any, path: str, level: int = 2)
         summary = (kind.__doc__ or "").strip().split("\n\n")[0]
         lines += [f"{'#' * level} {title}", "", " ".join(summary.split()), "", *_table(kind, values)]
     for name in kind.model_fields:
-        value = getattr(values, name)
+        value = getattr(values, name, None)
         if isinstance(value, Params) and not value.given_whole:
             below = f"{path}.{name}" if path else name
             lines += _params_sections(type(value), value, below, level)
@@ -174,12 +205,12 @@ def _params_sections(kind: type[Params], values: Any, path: str, level: int = 2)
 def _table(kind: type[Params], values: Any) -> list[str]:
     rows = []
     for name, field in kind.model_fields.items():
-        value = getattr(values, name)
+        value = "" if field.is_required() else getattr(values, name)
         if isinstance(value, Params) and not value.given_whole:
             continue
         if isinstance(value, Params):
             value = value.model_dump(mode="json").get("name")
-        cells = (f"`{name}`", f"`{_plain(value)}`", unit(name), allowed(field))
+        cells = (f"`{name}`", f"`{_plain(value)}`" if value != "" else "required", unit(name), allowed(field))
         rows.append(f"| {' | '.join(cells)} | {_cell(field.description or '')} |")
     if not rows:
         return []
@@ -212,15 +243,29 @@ def allowed(field: FieldInfo) -> str:
     return f"{low}x{high}" if low or high else ""
 
 
+def _public_page() -> str:
+    """Return the page of the names that ``import slam_bof`` gives."""
+    rows = []
+    for name in sorted(slam_bof.__all__):
+        thing = getattr(slam_bof, name)
+        summary = (thing.__doc__ or "").strip().splitlines()[0]
+        rows.append(f"| [`{name}`][{thing.__module__}.{name}] | {_cell(summary)} |")
+    text = "The public names of the package, imported when they are first asked for."
+    return "\n".join(["# slam_bof", "", text, "", "| name | |", "|---|---|", *rows, ""])
+
+
 def _room_page(room: str, modules: list[str]) -> str:
-    name = room if room == "slam_bof" else f"slam_bof.{room}"
+    if room == "slam_bof":
+        return _public_page()
+    name = f"slam_bof.{room}"
     lines = [f"# {name}", ""]
     if not modules:
         return "\n".join([*lines, *_members(name, 2)])
     door = ast.get_docstring(ast.parse((PACKAGE / room / "__init__.py").read_text("utf-8")))
     lines += [door or "", ""]
     for module in modules:
-        lines += [f"## {name}.{module}", "", *_members(f"{name}.{module}", 3)]
+        path = f"slam_bof/{room}/{module.replace('.', '/')}.py"
+        lines += [f"## {name}.{module}", "", f"`{path}`", "", *_members(f"{name}.{module}", 3)]
     return "\n".join(lines)
 
 
