@@ -14,11 +14,12 @@ from typing import Any
 
 import annotated_types
 import griffe
-import slam_bof
 import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from pydantic.fields import FieldInfo
+
+import slam_bof
 from slam_bof import Config
 from slam_bof.cli import app
 from slam_bof.core import registry
@@ -193,7 +194,13 @@ def _params_sections(kind: type[Params], values: Any, path: str, level: int = 2)
     if path or level == 2:
         title = f"`{path}`" if path else "The top"
         summary = (kind.__doc__ or "").strip().split("\n\n")[0]
-        lines += [f"{'#' * level} {title}", "", " ".join(summary.split()), "", *_table(kind, values)]
+        lines += [
+            f"{'#' * level} {title}",
+            "",
+            " ".join(summary.split()),
+            "",
+            *_table(kind, values),
+        ]
     for name in kind.model_fields:
         value = getattr(values, name, None)
         if isinstance(value, Params) and not value.given_whole:
@@ -210,7 +217,12 @@ def _table(kind: type[Params], values: Any) -> list[str]:
             continue
         if isinstance(value, Params):
             value = value.model_dump(mode="json").get("name")
-        cells = (f"`{name}`", f"`{_plain(value)}`" if value != "" else "required", unit(name), allowed(field))
+        cells = (
+            f"`{name}`",
+            f"`{_plain(value)}`" if value != "" else "required",
+            unit(name),
+            allowed(field),
+        )
         rows.append(f"| {' | '.join(cells)} | {_cell(field.description or '')} |")
     if not rows:
         return []
