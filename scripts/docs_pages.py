@@ -7,6 +7,7 @@ plug-ins, and the Python reference has one page for each room of the package.
 from __future__ import annotations
 
 import ast
+import html
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -29,6 +30,7 @@ from slam_bof.types import Params
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "slam_bof"
 DISTRIBUTION = "slam-bof"
+NO_BREAK = "\N{NO-BREAK SPACE}"
 UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "degrees", "px": "px"}
 """Units by the suffix of a parameter's name."""
 NOT_SHOWN = {"cli"}
@@ -134,8 +136,8 @@ def _command_section(name: str, command: Any) -> list[str]:
     for param in command.get_params(context):
         record = param.get_help_record(context)
         if record and "--help" not in param.opts:
-            rows.append(f"| `{_cell(record[0])}` | {_cell(record[1])} |")
-    return [*lines, "| argument or option | |", "|---|---|", *rows, ""] if rows else lines
+            rows.append(f"| {_code(record[0])} | {_cell(record[1])} |")
+    return [*lines, "| argument or option | meaning |", "|---|---|", *rows, ""] if rows else lines
 
 
 def parameters_page() -> str:
@@ -226,7 +228,7 @@ def _table(kind: type[Params], values: Any) -> list[str]:
         rows.append(f"| {' | '.join(cells)} | {_cell(field.description or '')} |")
     if not rows:
         return []
-    return ["| key | default | unit | allowed | |", "|---|---|---|---|---|", *rows, ""]
+    return ["| key | default | unit | allowed | meaning |", "|---|---|---|---|---|", *rows, ""]
 
 
 def unit(name: str) -> str:
@@ -252,7 +254,7 @@ def allowed(field: FieldInfo) -> str:
     choices = getattr(field.annotation, "__args__", ())
     if choices and all(isinstance(choice, str) for choice in choices):
         return " or ".join(f"`{choice}`" for choice in choices)
-    return f"{low}x{high}" if low or high else ""
+    return f"{low}x{high}".replace(" ", NO_BREAK) if low or high else ""
 
 
 def _public_page() -> str:
@@ -301,6 +303,11 @@ def _plain(value: Any) -> str:
     if isinstance(value, tuple | list):
         return f"[{', '.join(map(_plain, value))}]"
     return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _code(text: str) -> str:
+    """Return code for a cell of a table, where a bar would end the cell."""
+    return f"<code>{html.escape(' '.join(text.split())).replace('|', '&#124;')}</code>"
 
 
 def _cell(text: str) -> str:

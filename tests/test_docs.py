@@ -190,7 +190,7 @@ def test_the_generated_pages_have_every_command_and_every_parameter(
     for path, name in _leaves(Config(), ""):
         section = page.split(f"\n## `{path}`\n" if path else "\n## The top\n")[1].split("\n## ")[0]
         assert f"\n| `{name}` |" in section, f"{path}.{name}"
-    assert "| `distance_m` | `0.12` | m | 0 < x |" in page
+    assert "| `distance_m` | `0.12` | m | 0 < x |" in page.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def _leaves(part: Params, path: str) -> Iterator[tuple[str, str]]:
