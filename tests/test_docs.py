@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import shlex
 import sys
 import tomllib
 from collections.abc import Iterator
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import typer
 from conftest import ROOT
 
-from slam_bof import Config
+from slam_bof import Config, LoopCloser, Step
 from slam_bof.cli import app
 from slam_bof.core import registry
+from slam_bof.maps import Located
+from slam_bof.places.recogniser import PlaceMatch
 from slam_bof.slam import PluginChoice
 from slam_bof.types import Params
 
@@ -30,6 +35,9 @@ FILES = {"loops.csv", "loops.py"}
 """Look like keys of a configuration."""
 GENERATED = ("reference/", "project/")
 """Folders of pages that are made when the site is built, which checks the links to them."""
+
+ANSWERS = {"step": Step, "match": PlaceMatch, "located": Located}
+"""What the variables of these names are in the examples."""
 
 
 def blocks(language: str) -> Iterator[tuple[Path, str]]:
@@ -200,3 +208,49 @@ def _leaves(part: Params, path: str) -> Iterator[tuple[str, str]]:
             yield from _leaves(value, f"{path}.{name}".lstrip("."))
         else:
             yield path, name
+
+
+def test_every_attribute_that_is_shown_of_a_closer_and_its_answers_exists() -> None:
+    closer = LoopCloser.from_preset("indoor")
+    shown, missing = set(), []
+    for page, text in blocks("python"):
+        for node in ast.walk(ast.parse(text)):
+            chain = ast.unparse(node) if isinstance(node, ast.Attribute) else ""
+            start, *names = chain.split(".")
+            if "(" in chain or start not in ("closer", *ANSWERS):
+                continue
+            shown.add(chain)
+            if start == "closer" and not _has(closer, names):
+                missing.append(f"{page.name}: {chain}")
+            if start in ANSWERS and names[0] not in {f.name for f in fields(ANSWERS[start])}:
+                missing.append(f"{page.name}: {chain}")
+    assert {"closer.map.components", "step.T_map_odom", "match.inlier_ratio"} <= shown
+    assert missing == []
+
+
+def _has(thing: Any, names: list[str]) -> bool:
+    for name in names:
+        if not hasattr(thing, name):
+            return False
+        thing = getattr(thing, name)
+    return True
+
+
+def test_the_picture_of_a_run_that_is_none_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["x", str(tmp_path), "--out", str(tmp_path / "x.svg")])
+    script = runpy.run_path(str(ROOT / "scripts" / "make_readme_picture"))
+    assert script["main"]() == 1
+    captured = capsys.readouterr()
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+
+
+def test_walls_are_strokes_over_neighbouring_cells() -> None:
+    script = runpy.run_path(str(ROOT / "scripts" / "make_readme_picture"))
+    cells = np.array([[2, 0], [0, 0], [1, 0], [5, 0], [1, 1]])
+    size = script["CELL_M"] * script["PX_PER_M"]
+    path = script["wall_path"](cells, np.zeros(2))
+    lengths = [float(part.split("h")[1]) / size for part in path.split("M")[1:]]
+    assert np.round(lengths).tolist() == [3, 1, 1]
