@@ -13,15 +13,15 @@ from slam_bof.errors import ConfigError
 from slam_bof.ports import Dataset
 from slam_bof.types import DepthFrame, Trajectory
 
-__all__ = ["Excerpt"]
+__all__ = ["SequenceSlice"]
 
 
-class Excerpt:
+class SequenceSlice:
     """The frames of a data set from a first one on, up to but without a last one.
 
     Examples
     --------
-    >>> second_half = Excerpt.parse(dataset, "500:1000")  # doctest: +SKIP
+    >>> second_half = SequenceSlice.parse(dataset, "500:1000")  # doctest: +SKIP
     """
 
     name: ClassVar[str] = "excerpt"

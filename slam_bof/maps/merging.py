@@ -81,7 +81,7 @@ def _join(target: MapStore, paths: Sequence[Path]) -> Merged:
     keyframes.graph.optimize()
     T_map_camera, graph = keyframes.graph.poses(), keyframes.graph
     labels = label_map(
-        keyframes.keyframes, T_map_camera, config.labels, config.regions, parts=keyframes.parts
+        keyframes.keyframes, T_map_camera, config.labels, config.rooms, components=keyframes.parts
     )
     for id_, frames in tails.items():
         result = SessionResult(frames, T_map_camera, *labels, graph.left_out, LEFT_OUT)

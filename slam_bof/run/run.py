@@ -228,7 +228,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         )
     T_map_camera = closer.backend.poses()
     smoothed, regions = label_map(
-        closer.keyframes, T_map_camera, config.labels, config.regions, parts=closer.parts
+        closer.keyframes, T_map_camera, config.labels, config.rooms, components=closer.parts
     )
     left_out = closer.loops_left_out
     store.finish(

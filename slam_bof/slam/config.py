@@ -13,7 +13,7 @@ from slam_bof.core import describe_error, registry, suggest
 from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
-from slam_bof.scenes import RegionParams, SceneFilterParams
+from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
 from slam_bof.types import Params
 
@@ -67,7 +67,7 @@ class Config(Params):
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()
-    regions: RegionParams = RegionParams()
+    rooms: RoomSegmentationParams = RoomSegmentationParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()
