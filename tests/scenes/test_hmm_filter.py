@@ -103,10 +103,10 @@ def test_far_away_is_another_room_and_an_unknown_way_is_none():
     assert whole[1].probabilities[0] == pytest.approx(after(0.0))
 
 
-def test_sessions_and_parts_know_nothing_of_each_other(walk):
+def test_sessions_and_components_know_nothing_of_each_other(walk):
     scenes, stamps_s, positions_m = walk
     axes = np.tile([0.0, 0.0, 1.0], (5, 1))
-    apart = {"sessions": [0, 0, 1, 1, 1], "parts": [0, 0, 1, 1, 1]}
+    apart = {"sessions": [0, 0, 1, 1, 1], "components": [0, 0, 1, 1, 1]}
     whole = smooth(scenes, stamps_s, positions_m, PARAMS, axes=axes, **apart)
     for part in (slice(0, 2), slice(2, 5)):
         alone = smooth(scenes[part], stamps_s[part], positions_m[part], PARAMS, axes=axes[part])
@@ -119,17 +119,19 @@ def test_evidence_goes_where_one_looks_and_none_is_lost():
     logs, positions_m = rng.normal(size=(40, 3)), rng.uniform(0.0, 3.0, (40, 3))
     positions_m[7] = np.nan
     looks_m = positions_m + np.array([0.0, 1.0, 0.0])
-    parts = np.arange(40) % 2
-    placed = place_evidence(logs, looks_m, positions_m, parts, 0.3)
+    components = np.arange(40) % 2
+    placed = place_evidence(logs, looks_m, positions_m, components, 0.3)
     for part in (0, 1):
-        np.testing.assert_allclose(placed[parts == part].sum(axis=0), logs[parts == part].sum(0))
+        np.testing.assert_allclose(
+            placed[components == part].sum(axis=0), logs[components == part].sum(0)
+        )
     np.testing.assert_array_equal(placed[7], logs[7])
     # A narrow spread is the nearest one.
-    ids = np.flatnonzero((parts == 0) & np.isfinite(positions_m[:, 0]))
+    ids = np.flatnonzero((components == 0) & np.isfinite(positions_m[:, 0]))
     distances_m = np.linalg.norm(looks_m[ids, None] - positions_m[None, ids], axis=2)
     expected = np.zeros_like(logs)
     np.add.at(expected, ids[distances_m.argmin(axis=1)], logs[ids])
-    narrow = place_evidence(logs, looks_m, positions_m, parts, 1e-3)
+    narrow = place_evidence(logs, looks_m, positions_m, components, 1e-3)
     np.testing.assert_allclose(narrow[ids], expected[ids], atol=1e-9)
 
 

@@ -132,7 +132,7 @@ def test_the_same_training_gives_the_same_bytes_in_another_process(file, tmp_pat
         "t.models.save(t.train(), sys.argv[2])"
     )
     other = tmp_path / "other.bof"
-    here = str(Path(__file__).parents[1])
+    here = str(Path(__file__).parent)
     subprocess.run([sys.executable, "-c", program, here, str(other)], check=True)
     assert other.read_bytes() == file.read_bytes()
 
