@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.types import Array, Loop, Trajectory
+from slam_bof.types import Array, EdgeKind, Loop, Trajectory
 
 __all__ = ["loop_errors", "loop_precision", "loop_recall", "revisits", "same_place"]
 
@@ -109,5 +109,5 @@ def loop_recall(
     revisiting = revisits(keyframe_indices, reference)
     if not revisiting.any():
         return None
-    with_loop = {loop.query_id for loop in loops if loop.kind == "loop"}
+    with_loop = {loop.query_id for loop in loops if loop.kind == EdgeKind.LOOP}
     return float(np.mean([id_ in with_loop for id_ in np.flatnonzero(revisiting)]))
