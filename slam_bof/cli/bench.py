@@ -80,7 +80,7 @@ def _print(figures: dict[str, Any]) -> None:
     )
     if len(figures["sequences"]) == 1:
         typer.echo(
-            f"Classes are {len(figures['classes'])} stretches of the sequence: for the time only."
+            f"Classes are {len(figures['classes'])} segments of the sequence: for the time only."
         )
     for name, why in figures["left_out"].items():
         typer.echo(f"{name} is left out: {why}.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,11 +11,7 @@ from slam_bof.cli.evaluate_scenes import scenes
 from slam_bof.cli.options import JSON, QUIET
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slam_bof.evaluation import Scored
-    from slam_bof.ports import Dataset
+    from slam_bof.evaluation import MethodScores, PlaceQueries
 
 __all__ = ["evaluate"]
 
@@ -72,15 +67,9 @@ def places(
             registry.load("descriptors", name)
     missed: list[Missed] = []
 
-    def look(
-        dataset: Dataset,
-        indices: Sequence[int],
-        scored: Scored,
-        right: dict[str, NDArray[np.bool_]],
-        allowed: NDArray[np.bool_],
-    ) -> None:
-        found = find_misses(scored.scores, right["overlap"], allowed)
-        missed.append(Missed(scored.method, dataset, indices, *found))
+    def collect_misses(queries: PlaceQueries, scores: MethodScores) -> None:
+        found = find_misses(scores.scores, queries.relevant["overlap"], queries.allowed)
+        missed.append(Missed(scores.method, queries.dataset, queries.indices, *found))
 
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(
@@ -92,7 +81,7 @@ def places(
             odometry=odometry,
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),
-            on_scored=look,
+            on_scores=collect_misses,
         )
     if curves is not None:
         _write_curves(rows, curves)

@@ -108,11 +108,11 @@ def _read(
 def _open(path: Path, dataset: str, frames: str | None) -> tuple[Any, Trajectory | None]:
     """Open a sequence; return it and its true poses, if there are any."""
     from slam_bof.core import registry
-    from slam_bof.datasets import Excerpt
+    from slam_bof.datasets import SequenceSlice
 
     sequence = registry.open_dataset(path, dataset)
     if frames is not None:
-        sequence = Excerpt.parse(sequence, frames)
+        sequence = SequenceSlice.parse(sequence, frames)
     return sequence, sequence.groundtruth()
 
 

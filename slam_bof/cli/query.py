@@ -167,7 +167,7 @@ def _ask_image(
         numbers = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
     answer = label_image(
         path,
-        models.load_default() if model == "default" else models.load(model),
+        models.resolve(model),
         intrinsics=numbers,
         depth_scale=depth_scale,
         min_probability=min_probability,

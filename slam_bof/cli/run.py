@@ -186,7 +186,7 @@ def open_sequence(
 ) -> tuple[Dataset, list[str]]:
     """Open the data set; return it and what there is to say of how it was recognised."""
     from slam_bof.core import registry
-    from slam_bof.datasets import Excerpt
+    from slam_bof.datasets import SequenceSlice
     from slam_bof.errors import DatasetError
     from slam_bof.ports import LabelledImages
 
@@ -202,7 +202,7 @@ def open_sequence(
             f"{sequence}: found single images of {name}, expected a sequence; "
             "they are for training and judging scene labels"
         )
-    return (dataset if frames is None else Excerpt.parse(dataset, frames)), remarks
+    return (dataset if frames is None else SequenceSlice.parse(dataset, frames)), remarks
 
 
 def _show(result: RunResult, *, as_json: bool) -> None:

@@ -84,7 +84,7 @@ def _join(target: MapStore, paths: Sequence[Path]) -> Merged:
         keyframes.keyframes,
         T_map_camera,
         config.labels,
-        config.regions,
+        config.rooms,
         components=keyframes.components,
     )
     for id_, frames in tails.items():

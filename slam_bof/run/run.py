@@ -231,7 +231,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         closer.map.keyframes,
         T_map_camera,
         config.labels,
-        config.regions,
+        config.rooms,
         components=closer.map.components,
     )
     left_out = closer.map.loops_left_out

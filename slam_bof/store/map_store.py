@@ -16,7 +16,7 @@ import numpy as np
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import restore_frame
-from slam_bof.scenes import Region
+from slam_bof.scenes import MapRoom
 from slam_bof.store.database import MapFile
 from slam_bof.store.row_codec import (
     INSERT_CANDIDATE,
@@ -85,7 +85,7 @@ class SessionResult:
     frames: Sequence[FramePose]
     T_map_camera: Array
     smoothed: Sequence[Scene | None]
-    regions: Sequence[Region]
+    regions: Sequence[MapRoom]
     left_out: Iterable[Loop] = ()
     reason: str = ""
 
@@ -237,7 +237,7 @@ class MapStore(MapFile):
                 poses[i] = pose_of(row, "map_")
         return poses
 
-    def regions(self) -> list[Region]:
+    def regions(self) -> list[MapRoom]:
         """Return the rooms of the map; none until a session is finished."""
         inside: dict[int, list[int]] = {}
         for row in self.select("SELECT id, region FROM keyframes WHERE region IS NOT NULL"):

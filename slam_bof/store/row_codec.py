@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
+from slam_bof.scenes import MapRoom
 from slam_bof.store.schema import BOX, POSE, SMOOTHED
 from slam_bof.types import (
     Bag,
@@ -134,17 +134,17 @@ def scene_row(scene: Scene | None) -> Row:
     return scene.label, float(scene.probability), _blob(scene.probabilities, "<f8")
 
 
-def region_row(region: Region) -> Row:
+def region_row(region: MapRoom) -> Row:
     """Return the values of ``INSERT_REGION``."""
     box = (*region.center_m, *region.low_m, *region.high_m)
     return (region.id, region.label, region.probability, len(region.keyframe_ids), *box)
 
 
-def region_of(row: Any, keyframe_ids: Sequence[int]) -> Region:
+def region_of(row: Any, keyframe_ids: Sequence[int]) -> MapRoom:
     """Return the region in a row of ``regions``."""
     values = [row[name] for name in BOX]
     center_m, low_m, high_m = ((values[k], values[k + 1], values[k + 2]) for k in (0, 3, 6))
-    return Region(
+    return MapRoom(
         row["id"], row["label"], row["probability"], tuple(keyframe_ids), center_m, low_m, high_m
     )
 
