@@ -63,7 +63,7 @@ def places(
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.core import registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
-    from slam_bof.visualization import Missed, find_misses, write_misses
+    from slam_bof.visualization import Missed, find_missed_queries, write_missed_queries
 
     names = [RECOGNISER, *registry.names("descriptors")]
     chosen = names if descriptors == "all" else [name.strip() for name in descriptors.split(",")]
@@ -79,7 +79,7 @@ def places(
         right: dict[str, NDArray[np.bool_]],
         allowed: NDArray[np.bool_],
     ) -> None:
-        found = find_misses(scored.scores, right["overlap"], allowed)
+        found = find_missed_queries(scored.scores, right["overlap"], allowed)
         missed.append(Missed(scored.method, dataset, indices, *found))
 
     with Bar("Places", quiet=quiet) as bar:
@@ -97,7 +97,7 @@ def places(
     if curves is not None:
         _write_curves(rows, curves)
     if misses is not None:
-        write_misses(misses, missed)
+        write_missed_queries(misses, missed)
     if as_json:
         print_json(rows)
     else:

@@ -69,7 +69,7 @@ def export(
 ) -> None:
     """Write a map for other programs, all at the poses that it has in the map."""
     from slam_bof.cli.console import print_json
-    from slam_bof.maps import OccupancyParams, export_map
+    from slam_bof.maps import OccupancyGridParams, export_map
     from slam_bof.store import MapStore
 
     if all_frames and format_ not in ("tum", "kitti"):
@@ -78,7 +78,7 @@ def export(
         raise ConfigError("--session: found with g2o, expected without: a graph is of all sessions")
     if min_height >= max_height:
         raise ConfigError(f"--min-height: found {min_height}, expected below {max_height}")
-    plan = OccupancyParams(
+    plan = OccupancyGridParams(
         resolution_m=resolution, min_height_m=min_height, max_height_m=max_height
     )
     if format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):

@@ -14,7 +14,7 @@ from slam_bof.cli.tables import parse_numbers, show_rows
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slam_bof.maps import Located
+    from slam_bof.maps import LocalizedFrame
     from slam_bof.types import DepthFrame, Intrinsics, Trajectory
 
 __all__ = ["localize"]
@@ -129,11 +129,11 @@ def _frames(
             rows.append({"frame_index": index, "is_known": False, "reason": str(error)})
 
 
-def _row(index: int, frame: DepthFrame, located: Located) -> dict[str, Any]:
+def _row(index: int, frame: DepthFrame, located: LocalizedFrame) -> dict[str, Any]:
     """Return what is known of a frame, flat but for its poses."""
     from slam_bof.geometry import se3
 
-    found, scene, T = located.found, located.scene, located.found.T_map_camera
+    found, scene, T = located.localization, located.scene, located.localization.T_map_camera
     return {
         "frame_index": index,
         "stamp_s": frame.stamp_s,

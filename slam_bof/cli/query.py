@@ -116,7 +116,7 @@ def query(
         return
     of_image = {"--model": model, "--intrinsics": intrinsics, "--depth-scale": depth_scale}
     _refuse([name for name, value in of_image.items() if value is not None], "a depth image")
-    from slam_bof.store import MapStore, query_keyframes, query_loops, query_regions
+    from slam_bof.store import MapStore, query_keyframes, query_loops, query_rooms
 
     with MapStore.open(map_file(path)) as store:
         if loops:
@@ -125,7 +125,7 @@ def query(
             )
             return
         if regions:
-            found = query_regions(store, scene=scene, min_probability=min_probability)
+            found = query_rooms(store, scene=scene, min_probability=min_probability)
             show_rows([_region(region) for region in found[:limit]], REGIONS, form)
             return
         records = query_keyframes(
@@ -139,7 +139,7 @@ def query(
             limit=limit,
         )
         if scene is not None and form == "table":
-            rooms = [_region(r) for r in query_regions(store, scene=scene)]
+            rooms = [_region(r) for r in query_rooms(store, scene=scene)]
             show_rows(rooms, REGIONS, form, "Rooms, by where the camera was in them")
     rows = [asdict(record) for record in records]
     if form == "table":

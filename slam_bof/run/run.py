@@ -11,7 +11,7 @@ from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry
 from slam_bof.errors import MapError
-from slam_bof.maps import write_map
+from slam_bof.maps import write_sequence_cloud
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.run.folder import (
     link_map,
@@ -25,7 +25,7 @@ from slam_bof.run.folder import (
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.scenes import label_map
 from slam_bof.slam import Config, LoopCloser, MiniSlam, config as configs, of_session
-from slam_bof.store import MapStore, MapWriter, Session, SessionResult, read_records
+from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
 from slam_bof.types import Step
 from slam_bof.visualization import ReportData, write_report
 
@@ -262,7 +262,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     if groundtruth is not None:
         write_trajectory(folder, "groundtruth", groundtruth)
     write_audit_trail(folder / "loops.csv", candidates, result.keyframes)
-    write_map(folder / "map.ply", dataset, frames, result.T_map_camera)
+    write_sequence_cloud(folder / "map.ply", dataset, frames, result.T_map_camera)
     write_report(
         folder / "report.html",
         ReportData(
@@ -285,7 +285,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
 
 def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
     """Bring the closer to where the map has the session, and begin it if it is new."""
-    closer.restore(read_records(store, as_before=None if is_new else session.id))
+    closer.restore(replay_keyframes(store, reopened_session=None if is_new else session.id))
     while closer.session < session.id:
         closer.begin_session()
     if is_new:

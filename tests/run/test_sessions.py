@@ -19,7 +19,14 @@ from slam_bof.maps import MapLocalizer, merge_maps
 from slam_bof.run import read_run, run_sequence
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
-from slam_bof.store import MapStore, check_map, parts_of, prune_map, read_records, redundant
+from slam_bof.store import (
+    MapStore,
+    check_map,
+    components_of,
+    find_redundant_keyframes,
+    prune_map,
+    replay_keyframes,
+)
 from slam_bof.synthetic import Scene3D, make_room, spin, write_sequence
 from slam_bof.types import Trajectory
 
@@ -122,21 +129,23 @@ def test_a_pruned_map_stays_where_it_is_and_can_be_joined(joined, sequences, tmp
         before = {(k.session, k.frame_index): T for k, T in zip(
             store.keyframes(), store.map_poses(), strict=True
         )}  # fmt: skip
-        dropped = redundant(store, distance_m=0.2, angle_rad=0.3)
+        dropped = find_redundant_keyframes(store, distance_m=0.2, angle_rad=0.3)
         assert 0 < len(dropped) < len(before)
     size = map_file.stat().st_size
-    n = prune_map(map_file, lambda store: redundant(store, distance_m=0.2, angle_rad=0.3))
+    n = prune_map(
+        map_file, lambda store: find_redundant_keyframes(store, distance_m=0.2, angle_rad=0.3)
+    )
     assert n == len(dropped)
     assert map_file.stat().st_size < size
     assert check_map(map_file) == []
     with MapStore.open(map_file) as store:
         keyframes, poses = store.keyframes(), store.map_poses()
         assert [k.id for k in keyframes] == list(range(len(before) - n))
-        assert len(set(parts_of(store))) == 1
+        assert len(set(components_of(store))) == 1
         for keyframe, T in zip(keyframes, poses, strict=True):
             np.testing.assert_array_equal(T, before[keyframe.session, keyframe.frame_index])
         closer = LoopCloser.from_config(QUICK)
-        closer.restore(read_records(store))
+        closer.restore(replay_keyframes(store))
     errors = se3.inverse(closer.backend.poses()) @ poses
     assert np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.01
     again = run_sequence(sequences[0], QUICK, tmp_path, map_file=map_file)
