@@ -18,7 +18,7 @@ from slam_bof.maps.occupancy_grid import (
     write_occupancy_grid,
 )
 from slam_bof.maps.point_cloud import write_keyframe_cloud
-from slam_bof.slam import History, config as configs
+from slam_bof.slam import FrameHistory, config as configs
 from slam_bof.store import MapStore, query_keyframes
 from slam_bof.types import DepthFrame, Trajectory
 
@@ -79,7 +79,7 @@ def export_map(
     if not np.isfinite(poses).all():
         raise _interrupted(store)
     if format_ == "g2o":
-        options = configs.parse(store.sessions()[-1].config, str(store.path)).backend.options
+        options = configs.parse_saved(store.sessions()[-1].config, str(store.path)).backend.options
         sigmas = {
             name: float(options.get(name, 0.05))
             for name in ("odometry_sigma_rad", "odometry_sigma_m")
@@ -97,7 +97,7 @@ def session_trajectory(store: MapStore, session: int) -> Trajectory:
     """Return T_map_camera of every frame of a session, at the map's present poses."""
     own = [k for k in store.keyframes() if k.session == session]
     poses = store.map_poses()[[k.id for k in own]]
-    return History(store.frames(session)).trajectory(own, poses)
+    return FrameHistory(store.frames(session)).trajectory(own, poses)
 
 
 def _write_poses(

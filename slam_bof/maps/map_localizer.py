@@ -86,7 +86,7 @@ class MapLocalizer:
                     f"{path}: found an interrupted run of {sessions[-1].sequence}, "
                     "expected a finished one: resume it first"
                 )
-            config = configs.parse(sessions[-1].config, f"{path}: session {sessions[-1].id}")
+            config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
             model = (
                 models.load_default() if config.model == "default" else models.load(config.model)
             )

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from slam_bof.core import StageClock
 from slam_bof.errors import MapError
-from slam_bof.geometry import thicken
+from slam_bof.geometry import restore_frame
 from slam_bof.scenes import label_map
 from slam_bof.slam import KeyframeMap, config as configs
 from slam_bof.store import MapStore, SessionResult, replay_keyframes
@@ -61,12 +61,12 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
     """Add the sessions of the other maps to a copy of the first, and finish them."""
     sessions = target.sessions()
     _check_finished(target, paths[0])
-    config = configs.parse(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
+    config = configs.parse_saved(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
     keyframes = KeyframeMap.from_config(config, StageClock())
     for record in replay_keyframes(target):
         while keyframes.session < record.keyframe.session:
             keyframes.begin_session()
-        keyframes.take_back(record)
+        keyframes.replay(record)
     starts: list[int] = []
     tails: dict[int, list[FramePose]] = {}
     for path in paths[1:]:
@@ -82,7 +82,11 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
     keyframes.graph.optimize()
     T_map_camera, graph = keyframes.graph.poses(), keyframes.graph
     smoothed, regions = label_map(
-        keyframes.keyframes, T_map_camera, config.labels, config.regions, parts=keyframes.parts
+        keyframes.keyframes,
+        T_map_camera,
+        config.labels,
+        config.regions,
+        components=keyframes.components,
     )
     for id_, frames in tails.items():
         result = SessionResult(
@@ -101,7 +105,7 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
         n_sessions=keyframes.session + 1,
         n_keyframes=len(keyframes),
         n_loops_across=across,
-        n_components=len(graph.parts),
+        n_components=len(graph.components),
     )
 
 
@@ -121,13 +125,13 @@ def _add_session(
         keyframe = replace(
             old, id=len(keyframes), session=keyframes.session, segment=old.segment + later
         )
-        verified = keyframes.add_described(keyframe, thicken(record.thin, keyframe.stamp_s))
+        verified = keyframes.add_described(keyframe, restore_frame(record.depth, keyframe.stamp_s))
         own = tuple(frames[start : keyframe.frame_index + 1])
         start = keyframe.frame_index + 1
         target.write(
             KeyframeRecord(
                 keyframe=keyframe,
-                thin=record.thin,
+                depth=record.depth,
                 frames=own,
                 candidates=tuple(verified.candidates),
                 measured=tuple(verified.measured),

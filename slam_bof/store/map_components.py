@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.slam import MapParts
+from slam_bof.slam import MapComponents
 from slam_bof.store.map_store import MapStore
 
 __all__ = ["components_of"]
@@ -13,7 +13,7 @@ __all__ = ["components_of"]
 
 def components_of(store: MapStore) -> NDArray[np.int64]:
     """Return the component (K,) of each keyframe, as the loops of the graph connect them."""
-    components = MapParts()
+    components = MapComponents()
     for keyframe in store.keyframes():
         components.add(keyframe.segment)
     for loop in store.loops():

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
-from slam_bof.slam import History
+from slam_bof.slam import FrameHistory
 from slam_bof.store.map_components import components_of
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import INSERT_CANDIDATE, encode_candidate, encode_edge
@@ -152,7 +152,7 @@ def _freeze_map_poses(store: MapStore, db: sqlite3.Connection) -> None:
         frames = [replace(frame, T_view_camera=None) for frame in store.frames(session.id)]
         if not own or not frames:
             continue
-        frozen = History(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
+        frozen = FrameHistory(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
         db.executemany(
             "UPDATE frames SET T_odom_camera = ? WHERE session = ? AND frame_index = ?",
             [

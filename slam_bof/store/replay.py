@@ -63,7 +63,7 @@ def replay_keyframes(
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
             keyframe=replace(keyframe, T_odom_camera=poses[-1].T_odom_camera),
-            thin=store.thin(views[0]),
+            depth=store.depth_of(views[0]),
             frames=poses,
             candidates=tuple(map(decode_candidate, own)),
             measured=tuple(decode_loop(row) for row in own if row["information"] is not None),

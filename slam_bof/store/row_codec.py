@@ -23,7 +23,7 @@ from slam_bof.types import (
     Loop,
     Pose,
     Scene,
-    ThinDepth,
+    SubsampledDepth,
 )
 
 __all__ = [
@@ -152,19 +152,19 @@ def decode_region(row: Any, keyframe_ids: Sequence[int]) -> Region:
     )
 
 
-def encode_view(keyframe_id: int, thin: ThinDepth) -> Row:
+def encode_view(keyframe_id: int, depth: SubsampledDepth) -> Row:
     """Return the values of ``INSERT_VIEW``."""
-    _, png = cv2.imencode(".png", thin.depth, PNG)
-    return int(keyframe_id), thin.per_m, png.tobytes()
+    _, png = cv2.imencode(".png", depth.depth, PNG)
+    return int(keyframe_id), depth.per_m, png.tobytes()
 
 
-def decode_view(row: Any, camera: Intrinsics) -> ThinDepth | None:
+def decode_view(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     """Return the subsampled depth image in a row of ``views``, None if it is damaged."""
     png = np.frombuffer(row["depth"], np.uint8)
     depth = cv2.imdecode(png, cv2.IMREAD_UNCHANGED) if png.size else None
     if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
         return None
-    return ThinDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
+    return SubsampledDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
 
 
 def encode_frame(session: int, frame_index: int, frame: FramePose) -> Row:

@@ -77,7 +77,7 @@ def test_a_second_session_joins_the_map_of_the_first(joined, sequences):
     assert (first.metrics["n_loops_across"], first.metrics["session"]) == (0, 0)
     assert second.metrics["session"] == 1
     assert second.metrics["n_loops_across"] > 4
-    assert second.metrics["n_parts"] == 1
+    assert second.metrics["n_components"] == 1
     assert error_m(map_file, sequences) < 0.03
     assert check_map(map_file) == []
     with MapStore.open(map_file) as store:
@@ -104,7 +104,7 @@ def test_a_run_s_folder_is_of_its_own_session(joined):
 def test_maps_are_merged_by_what_is_recognised(apart, sequences, tmp_path):
     out = tmp_path / "merged.db"
     merged = merge_maps(apart, out)
-    assert (merged.n_sessions, merged.n_parts) == (2, 1)
+    assert (merged.n_sessions, merged.n_components) == (2, 1)
     assert merged.n_loops_across > 4
     assert error_m(out, sequences) < 0.03
     assert check_map(out) == []
@@ -149,7 +149,7 @@ def test_a_pruned_map_stays_where_it_is_and_can_be_joined(joined, sequences, tmp
     errors = se3.inverse(closer.backend.poses()) @ poses
     assert np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.01
     again = run_sequence(sequences[0], QUICK, tmp_path, map_file=map_file)
-    assert (again.metrics["n_parts"], again.metrics["session"]) == (1, 2)
+    assert (again.metrics["n_components"], again.metrics["session"]) == (1, 2)
     assert again.metrics["ate_m"] < 0.03
 
 
