@@ -54,13 +54,13 @@ def config(
 ) -> None:
     """Print a configuration in full, defaults included; a file is checked, plug-ins and all."""
     from slam_bof.cli.console import print_json
-    from slam_bof.slam import config as configs
+    from slam_bof.slam import config as configs, dump_with_comments
 
     chosen = configs.complete(configs.override(configs.resolve(name), assignments or []))
     if as_json:
         print_json(chosen.model_dump(mode="json"))
     else:
-        typer.echo(configs.dump(chosen), nl=False)
+        typer.echo(dump_with_comments(chosen), nl=False)
 
 
 def doctor(as_json: JSON = False) -> None:
