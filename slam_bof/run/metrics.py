@@ -12,7 +12,7 @@ from slam_bof import evaluation
 from slam_bof.core import StageClock, Usage, peak_rss_mb
 from slam_bof.run.record import RunRecord
 from slam_bof.slam import LoopCloser, SlamResult
-from slam_bof.types import Candidate, Scene, Trajectory
+from slam_bof.types import Candidate, CandidateSource, EdgeKind, Scene, Trajectory
 
 __all__ = [
     "Metrics",
@@ -39,7 +39,7 @@ def compute_metrics(record: RunRecord) -> Metrics:
         **scene_metrics(result, record.smoothed, record.true_scenes),
         "n_regions": record.n_rooms,
         **cost_metrics(result, record.usage, record.clock),
-        "session": record.closer.session,
+        "session": record.closer.map.session,
         "seed": record.seed,
         "version": importlib.metadata.version("slam-bof"),
     }
@@ -49,8 +49,8 @@ def count_metrics(
     result: SlamResult, closer: LoopCloser, candidates: Sequence[Candidate]
 ) -> Metrics:
     """Return how many frames, keyframes, candidates and loops a run had."""
-    loops = [loop for loop in result.loops if loop.kind == "loop"]
-    considered = [c for c in candidates if c.kind == "loop"]
+    loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
+    considered = [c for c in candidates if c.kind == EdgeKind.LOOP]
     return {
         "n_frames": len(result.optimized),
         "n_frames_skipped": result.n_skipped,
@@ -58,12 +58,12 @@ def count_metrics(
         "n_keyframes": len(result.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
         "n_frames_lost": closer.n_frames_lost,
-        "n_components": closer.n_components,
+        "n_components": closer.map.n_components,
         "n_candidates": len(considered),
         "n_verified": sum(not np.isnan(c.rmse_m) for c in considered),
-        **{f"n_keyframes_{name}": n for name, n in asdict(closer.loop_counts).items()},
+        **{f"n_keyframes_{name}": n for name, n in asdict(closer.map.loop_counts).items()},
         "n_loops": len(loops),
-        "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
+        "n_loops_recognised": sum(loop.source != CandidateSource.PROXIMITY for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),
         "n_loops_across": result.n_loops_across,
         "n_edges_left_out": len(result.loops_left_out),
@@ -87,8 +87,8 @@ def trajectory_metrics(result: SlamResult, groundtruth: Trajectory | None) -> Me
     ate_odometry = evaluation.ate(result.odometry, reference)
     ate = evaluation.ate(result.optimized, reference)
     keyframe_indices = [k.frame_index for k in result.keyframes]
-    loops = [loop for loop in result.loops if loop.kind == "loop"]
-    edges = [loop for loop in result.loops if loop.kind == "covisibility"]
+    loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
+    edges = [loop for loop in result.loops if loop.kind == EdgeKind.COVISIBILITY]
     return {
         "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
         "ate_m": ate.rmse_m if ate else None,

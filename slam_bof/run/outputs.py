@@ -22,7 +22,7 @@ def write_outputs(folder: Path, record: RunRecord, metrics: Metrics) -> None:
     """Write everything but the two estimated trajectories and ``map.db``, which come first."""
     result = record.result
     frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
-    record.closer.backend.write_g2o(folder / "pose_graph.g2o")
+    record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
     text = json.dumps(metrics, indent=2) + "\n"
     (folder / "metrics.json").write_text(text, encoding="utf-8")
     if record.groundtruth is not None:

@@ -117,7 +117,7 @@ def run_sequence(
                 MapStore.open(map_file, read_only=False) if is_there else MapStore.create(map_file)
             )
             stack.enter_context(store)
-            _check_ready(store, dataset, job.closer.model_hash)
+            _check_ready(store, dataset, job.closer.map.model_hash)
         folder = make_folder(out)
         stack.enter_context(as_run_errors(folder))
         stack.enter_context(logging_to(folder / "run.log"))
@@ -174,7 +174,7 @@ def resume_sequence(
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
-        _check_ready(store, dataset, job.closer.model_hash, is_new=False)
+        _check_ready(store, dataset, job.closer.map.model_hash, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
         with as_run_errors(folder), logging_to(folder / "run.log"):
@@ -238,9 +238,13 @@ def _finish(
 ) -> RunRecord:
     """Label the whole map, finish the session in it, and return the record of the run."""
     dataset, config, closer = job.dataset, job.config, job.closer
-    T_map_camera, first = closer.backend.poses(), closer.first_keyframe
+    T_map_camera, first = closer.map.backend.poses(), closer.map.first_keyframe
     smoothed, rooms = label_map(
-        closer.keyframes, T_map_camera, config.labels, config.regions, components=closer.components
+        closer.map.keyframes,
+        T_map_camera,
+        config.labels,
+        config.regions,
+        components=closer.map.components,
     )
     store.finish(
         session.id,
@@ -249,7 +253,7 @@ def _finish(
             T_map_camera=T_map_camera,
             smoothed=smoothed,
             regions=rooms,
-            left_out=closer.loops_left_out,
+            left_out=closer.map.loops_left_out,
             reason=LEFT_OUT_REASON,
         ),
     )
@@ -260,7 +264,7 @@ def _finish(
         closer=closer,
         seed=config.seed,
         result=result,
-        candidates=of_session(store.candidates(), range(first, len(closer.keyframes))),
+        candidates=of_session(store.candidates(), range(first, len(closer.map.keyframes))),
         smoothed=smoothed[first:],
         n_rooms=len(rooms),
         groundtruth=dataset.groundtruth(),
@@ -273,10 +277,10 @@ def _finish(
 def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
     """Restore the closer from the map; begin the session in both if it is new."""
     closer.restore(replay_keyframes(store, reopened_session=None if is_new else session.id))
-    while closer.session < session.id:
+    while closer.map.session < session.id:
         closer.begin_session()
     if is_new:
-        store.set_parameters({"model": closer.model_hash})
+        store.set_parameters({"model": closer.map.model_hash})
         store.begin_session(session)
 
 

@@ -45,6 +45,7 @@ from slam_bof.store.sqlite import is_intact, update_checksums
 from slam_bof.types import (
     Array,
     Candidate,
+    CandidateSource,
     DepthFrame,
     FramePose,
     Intrinsics,
@@ -341,7 +342,7 @@ class MapStore(MapDatabase):
             raise ValueError(f"{self.path}: {key} must stay {row['value']}, got {text}")
 
 
-def _key_of(loop: Loop) -> tuple[int, int, str]:
+def _key_of(loop: Loop) -> tuple[int, int, CandidateSource]:
     """Return the key that a loop and its candidate share."""
     return int(loop.query_id), int(loop.match_id), loop.source
 

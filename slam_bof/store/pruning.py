@@ -18,12 +18,9 @@ from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import INSERT_CANDIDATE, encode_candidate, encode_edge
 from slam_bof.store.schema import KEY_COLUMNS, POSE_COLUMNS
 from slam_bof.store.sqlite import update_checksums
-from slam_bof.types import Candidate, Loop
+from slam_bof.types import Candidate, CandidateSource, Decision, EdgeKind, Loop
 
 __all__ = ["drop_keyframes", "find_redundant_keyframes", "prune_map"]
-
-PRUNED = "pruned"
-"""The ``source`` of loops that replace those of dropped keyframes."""
 
 REFERENCES = (
     ("views", "keyframe_id"),
@@ -183,9 +180,9 @@ def _link_segments(store: MapStore, db: sqlite3.Connection, components: NDArray[
         offsets_m = T_map_camera[older, :3, 3] - T_map_camera[query, :3, 3]
         match = int(older[np.linalg.norm(offsets_m, axis=1).argmin()])
         T = se3.inverse(T_map_camera[match]) @ T_map_camera[query]
-        loop = Loop(query, match, T, np.eye(6), "loop", PRUNED)
-        candidate = Candidate(query, match, PRUNED, decision="accepted")
+        loop = Loop(query, match, T, np.eye(6), EdgeKind.LOOP, CandidateSource.PRUNED)
+        candidate = Candidate(query, match, CandidateSource.PRUNED, decision=Decision.ACCEPTED)
         edge = encode_edge(loop, loop_id=next_id, admitted_by=query)
         db.execute(INSERT_CANDIDATE, encode_candidate(candidate, edge))
         next_id += 1
-    update_checksums(db, "candidates", "source = ?", PRUNED)
+    update_checksums(db, "candidates", "source = ?", CandidateSource.PRUNED)

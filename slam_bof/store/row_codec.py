@@ -17,6 +17,9 @@ from slam_bof.store.schema import BOX_COLUMNS, POSE_COLUMNS, SMOOTHED_COLUMNS
 from slam_bof.types import (
     Bag,
     Candidate,
+    CandidateSource,
+    Decision,
+    EdgeKind,
     FramePose,
     Intrinsics,
     Keyframe,
@@ -207,6 +210,9 @@ def decode_candidate(row: Any) -> Candidate:
     """Return the candidate in a row of ``candidates``."""
     values: dict[str, Any] = {name: row[name] for name in CANDIDATE_COLUMNS}
     values |= {name: math.nan for name, value in values.items() if value is None}
+    values["source"] = CandidateSource(values["source"])
+    values["kind"] = EdgeKind(values["kind"])
+    values["decision"] = Decision(values["decision"])
     return Candidate(**values)
 
 
@@ -217,8 +223,8 @@ def decode_loop(row: Any) -> Loop:
         match_id=row["match_id"],
         T_match_query=decode_pose(row),
         information=_from_blob(row["information"], "<f8").reshape(6, 6),
-        kind=row["kind"],
-        source=row["source"],
+        kind=EdgeKind(row["kind"]),
+        source=CandidateSource(row["source"]),
     )
 
 
