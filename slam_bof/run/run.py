@@ -28,7 +28,7 @@ from slam_bof.slam import (
 from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
 from slam_bof.types import Step
 
-__all__ = ["RunResult", "resume_sequence", "run_sequence"]
+__all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
 
 LEFT_OUT_REASON = "inconsistent with the other loops in the final optimisation"
 MAX_LOST_RATIO = 0.1
@@ -45,10 +45,20 @@ class RunResult:
     metrics: Metrics
 
 
+class RunInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a run, whose saved keyframes can be resumed from its folder."""
+
+    def __init__(self, folder: Path, n_frames: int) -> None:
+        super().__init__(f"{folder}: interrupted after {n_frames} frames")
+        self.folder = folder
+        self.n_frames = n_frames
+
+
 class LoggingObserver:
     """Logs warnings and where odometry is lost and recovered, and informs another observer."""
 
     def __init__(self, observer: Observer) -> None:
+        self.n_frames = 0
         self._observer = observer
         self._is_lost = False
 
@@ -58,6 +68,7 @@ class LoggingObserver:
 
     def on_step(self, frame_index: int, step: Step) -> None:
         """Log where odometry is lost and recovered, and inform the other observer."""
+        self.n_frames += 1
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(
@@ -191,7 +202,7 @@ class _Job:
 
     dataset: Dataset
     config: Config
-    observer: Observer
+    observer: LoggingObserver
     max_frames: int | None
     clock: StageClock
     odometry: Odometry
@@ -217,7 +228,10 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         _restore(closer, store, session, is_new=is_new)
         closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
-        result = slam.run(job.dataset, max_frames=job.max_frames)
+        try:
+            result = slam.run(job.dataset, max_frames=job.max_frames)
+        except KeyboardInterrupt:
+            raise RunInterrupted(folder, job.observer.n_frames) from None
     write_trajectory(folder, "odometry", result.odometry)
     write_trajectory(folder, "optimized", result.optimized)
     used = Usage.now() - started
