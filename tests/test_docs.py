@@ -22,7 +22,7 @@ from conftest import ROOT
 from slam_bof import Config, LoopCloser, Step
 from slam_bof.cli import app
 from slam_bof.core import registry
-from slam_bof.maps import Located
+from slam_bof.maps import LocalizedFrame
 from slam_bof.places.recogniser import PlaceMatch
 from slam_bof.slam import PluginChoice
 from slam_bof.types import Params
@@ -36,7 +36,7 @@ FILES = {"loops.csv", "loops.py"}
 GENERATED = ("reference/", "project/")
 """Folders of pages that are made when the site is built, which checks the links to them."""
 
-ANSWERS = {"step": Step, "match": PlaceMatch, "located": Located}
+ANSWERS = {"step": Step, "match": PlaceMatch, "located": LocalizedFrame}
 """What the variables of these names are in the examples."""
 
 
