@@ -7,7 +7,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import CAMERA, box_room_depth_mm
+from conftest import CAMERA
+from labelled_boxes import SIZES_M, write_box
 
 from slam_bof.datasets import LabelledFrame, frames_of, open_labelled
 from slam_bof.errors import DatasetError
@@ -21,20 +22,8 @@ from slam_bof.evaluation import (
     split_sunrgbd,
 )
 from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
-from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame
 from slam_bof.visualization import write_comparison
-
-SIZES_M = {"hall": (0.8, 1.3, 4.0), "office": (2.0, 1.5, 2.5), "store": (1.2, 2.2, 1.2)}
-
-
-def write_box(folder: Path, label: str, n: int = 12, *, turned: float = 0.0) -> None:
-    """Write a turn in a box whose size is of the label, in 7-Scenes layout."""
-    folder.mkdir(parents=True)
-    for number in range(n):
-        T = se3.exp(np.array([0, turned + 0.2 * number, 0, 0.02 * number, 0, 0]))
-        depth = box_room_depth_mm(CAMERA, T, SIZES_M[label])
-        cv2.imwrite(str(folder / f"frame-{number:06d}.depth.png"), depth)
 
 
 @pytest.fixture(scope="module")

@@ -19,7 +19,7 @@ from saved_maps import (
 
 from slam_bof.geometry import se3
 from slam_bof.scenes import MapRoom
-from slam_bof.store import MapStore, Session, SessionResult, read_records
+from slam_bof.store import MapStore, Session, SessionResult, replay_keyframes
 from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
 
@@ -130,7 +130,7 @@ def test_records_are_what_was_written(path: Path) -> None:
         store.begin_session(Session(0, "7scenes", "room/seq-01", "", 0, "1.0"))
         for record in records:
             store.write(record)
-        found = list(read_records(store))
+        found = list(replay_keyframes(store))
     for record, back in zip(records, found, strict=True):
         np.testing.assert_array_equal(back.keyframe.T_odom_camera, record.keyframe.T_odom_camera)
         np.testing.assert_array_equal(back.depth.depth, record.depth.depth)
