@@ -50,9 +50,13 @@ class SunRgbdParams(Params):
     """Which depth and which images to take."""
 
     depth: Literal["depth", "depth_bfx"] = Field(
-        "depth", description="as the sensor saw it, or depth_bfx: with its holes filled"
+        "depth",
+        description="Depth images to read: depth as measured, or depth_bfx with its holes filled.",
     )
-    all_scenes: bool = Field(False, description="not only the 19 classes of the paper")
+    all_scenes: bool = Field(
+        False,
+        description="Whether to take the images of all scenes, not only of the paper's 19 classes.",
+    )
 
 
 @dataclass(frozen=True, slots=True)

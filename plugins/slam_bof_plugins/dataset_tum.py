@@ -70,11 +70,11 @@ class TumParams(Params):
 
     camera: Camera = Field(
         "color",
-        description="published intrinsics to take: color (depth registered to it, as "
-        "distributed), infrared (raw depth), or default (525 px, as OpenNI has it)",
+        description="Published intrinsics to use: color (depth registered to it, as distributed),"
+        " infrared (raw depth), or default (525 px, the default of OpenNI).",
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
-        None, description="fx, fy, cx, cy in px, in place of published ones"
+        None, description="Intrinsics fx, fy, cx, cy in pixels, used instead of the published ones."
     )
 
 

@@ -16,9 +16,14 @@ __all__ = ["ContourParams", "find_contours"]
 class ContourParams(Params):
     """What is closed first, and what is too small to count."""
 
-    closing_px: int = Field(5, gt=0, description="side of the square closing kernel, odd; 1: none")
+    closing_px: int = Field(
+        5,
+        gt=0,
+        description="Side of the square kernel of the morphological closing, an odd number of "
+        "pixels; 1 closes nothing.",
+    )
     min_area_share: float = Field(
-        0.01, ge=0, le=1, description="smallest contour area, as a share of the image's"
+        0.01, ge=0, le=1, description="Least area of a contour, as a share of the image's area."
     )
 
     @field_validator("closing_px")

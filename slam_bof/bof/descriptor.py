@@ -26,11 +26,20 @@ class BofParams(Params):
     the contour begins: both forget how the shape is turned.
     """
 
-    n_points: int = Field(180, gt=2, description="n: points that a contour is quantised into")
-    sampling: Literal["arc", "angle"] = Field(
-        "arc", description="equal steps along the contour, or of the angle seen from its centroid"
+    n_points: int = Field(
+        180, gt=2, description="Number of points that a contour is sampled at (the paper's n)."
     )
-    start: Literal["found", "farthest", "fourier"] = "found"
+    sampling: Literal["arc", "angle"] = Field(
+        "arc",
+        description="Sampling at equal steps along the contour (arc), or at equal angles as seen "
+        "from its centroid (angle).",
+    )
+    start: Literal["found", "farthest", "fourier"] = Field(
+        "found",
+        description="First value of a descriptor: the first point as found, the farthest point, "
+        "or magnitudes of the Fourier spectrum instead of radii, which do not depend "
+        "on the first point.",
+    )
 
     @property
     def n_values(self) -> int:

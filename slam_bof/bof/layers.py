@@ -29,21 +29,42 @@ class LayerParams(Params):
     not drawn.
     """
 
-    n_layers: int = Field(20, gt=0, le=65534, description="L: layers along the axis")
-    resolution_px: int = Field(300, gt=1, description="R: side of a layer's image")
-    rounding: Literal["floor", "nearest"] = "floor"
+    n_layers: int = Field(
+        20, gt=0, le=65534, description="Number of layers along the axis (the paper's L)."
+    )
+    resolution_px: int = Field(
+        300, gt=1, description="Side of a layer's image in pixels (the paper's R)."
+    )
+    rounding: Literal["floor", "nearest"] = Field(
+        "floor",
+        description="Rounding of the layer index: floor makes n_layers equal layers; nearest "
+        "makes n_layers + 1, as in the paper, of which the first and the last are "
+        "half as thick.",
+    )
     axis: tuple[float, float, float] | Literal["gravity"] = Field(
-        OPTICAL_AXIS, description="v: direction in the camera frame that the layers follow"
+        OPTICAL_AXIS,
+        description="Direction along which layers are cut, in the camera frame; gravity for the "
+        "measured vertical.",
     )
     plane: Literal["camera", "axis"] = Field(
-        "camera", description="drawn on the plane across the camera's optical axis, or across v"
+        "camera",
+        description="Plane that a layer is projected on: perpendicular to the optical axis "
+        "(camera) or to the layers' axis (axis).",
     )
     thickness_m: float | None = Field(
-        None, gt=0, description="of a layer; none: the frame's extent in n_layers parts"
+        None,
+        gt=0,
+        description="Thickness of a layer in metres; none divides the extent of the cloud into "
+        "n_layers.",
     )
-    start_m: float = Field(0.0, description="where layers of fixed thickness begin, along v")
+    start_m: float = Field(
+        0.0,
+        description="Position along the axis at which layers of fixed thickness begin, in metres.",
+    )
     pixel_m: float | None = Field(
-        None, gt=0, description="side of a pixel; none: the layer's extent fills the image"
+        None,
+        gt=0,
+        description="Side of a pixel in metres; none fits the extent of each layer to the image.",
     )
 
     @field_validator("axis")

@@ -26,12 +26,22 @@ __all__ = ["Dropped", "FramePoseSynchroniser", "SynchroniserParams"]
 class SynchroniserParams(Params):
     """How much is kept, and how long a frame waits."""
 
-    max_frames: int = Field(64, gt=0, description="waiting for a pose")
-    max_poses: int = Field(1000, gt=1)
-    max_gap_s: float = Field(0.2, gt=0, description="poses farther apart are not interpolated")
-    tolerance_s: float = Field(0.002, ge=0, description="a pose this near is the frame's own")
+    max_frames: int = Field(64, gt=0, description="Largest number of frames that wait for a pose.")
+    max_poses: int = Field(1000, gt=1, description="Largest number of poses that are kept.")
+    max_gap_s: float = Field(
+        0.2, gt=0, description="Poses farther apart than this many seconds are not interpolated."
+    )
+    tolerance_s: float = Field(
+        0.002,
+        ge=0,
+        description="A pose within this many seconds of a frame is used as it is, without "
+        "interpolation.",
+    )
     max_wait_s: float = Field(
-        1.0, gt=0, description="by the poses' clock; after it a frame without a pose is dropped"
+        1.0,
+        gt=0,
+        description="A frame without a pose is dropped when the newest pose is this many seconds "
+        "newer.",
     )
 
 
