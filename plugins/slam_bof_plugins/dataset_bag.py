@@ -33,7 +33,7 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
 class BagParams(Params):
-    """Which topics of a bag to read."""
+    """The topics of a bag to read."""
 
     topic: str | None = Field(
         None, description="Topic of the depth images; by default the only one in the bag."
@@ -95,7 +95,7 @@ class RosBag:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say what kind of bag it is; nothing if it is none."""
+        """Return the kind of bag; empty if it is none."""
         bag = find_bag(path)
         kind = bag_kind(bag) if bag else ""
         return f"{bag.name}: {kind}" if bag and kind else ""
@@ -138,7 +138,7 @@ class RosBag:
         """Return None."""
 
     def groundtruth(self) -> Trajectory | None:
-        """Return the poses of the topic that the options name, NaN where there is none near."""
+        """Return the poses of the chosen topic, NaN for frames without a pose near in time."""
         return self._groundtruth
 
     def scenes(self) -> None:

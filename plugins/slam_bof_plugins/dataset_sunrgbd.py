@@ -47,7 +47,7 @@ SCENES = (
 
 
 class SunRgbdParams(Params):
-    """Which depth and which images to take."""
+    """The depth images and scenes to read."""
 
     depth: Literal["depth", "depth_bfx"] = Field(
         "depth",
@@ -90,7 +90,7 @@ class SunRgbd:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say which files tell that this is the layout; nothing if it is not."""
+        """Return the files that identify the format; empty if there are none."""
         images = _images_folder(path)
         if images is None:
             return ""

@@ -24,7 +24,7 @@ class ThumbnailParams(Params):
 
 
 class FernParams(Params):
-    """How many questions are asked, of what (Glocker et al., TVCG 2015)."""
+    """Number and image of the binary tests (Glocker et al., TVCG 2015)."""
 
     n_ferns: int = Field(500, gt=0, description="Number of ferns.")
     n_bits: int = Field(4, gt=0, le=8, description="Number of binary tests of a fern.")
@@ -40,7 +40,7 @@ class FernParams(Params):
 
 
 class OccupancyParams(Params):
-    """The box before the camera that is cut into voxels."""
+    """The box in front of the camera that is divided into voxels."""
 
     points: PointParams = PointParams()
     voxel_m: float = Field(0.1, gt=0, description="Side of a voxel in metres.")
@@ -67,7 +67,7 @@ class OccupancyParams(Params):
 
 
 class ThumbnailDescriptor:
-    """The depth image itself, small, 0 where little of it is known."""
+    """The downsampled depth image, 0 where most of it is unknown."""
 
     Params = ThumbnailParams
     needs_gray: ClassVar[bool] = False
@@ -83,7 +83,7 @@ class ThumbnailDescriptor:
 
 
 class FernDescriptor:
-    """Codes of random ferns: is this pixel farther than that threshold."""
+    """Codes of random ferns, whose tests compare a pixel's depth with a threshold."""
 
     Params = FernParams
     needs_gray: ClassVar[bool] = False

@@ -23,12 +23,12 @@ __all__ = ["DepthGistDescriptor", "GistDescriptor", "GistParams"]
 Image = NDArray[np.float32]
 
 HIGHEST_FREQUENCY = 0.3
-"""Of the finest scale, in cycles a pixel."""
+"""Centre frequency of the finest scale, in cycles a pixel."""
 SCALE_STEP = 1.85
 
 
 class GistParams(Params):
-    """The authors' prefilter and filter bank, at 128 pixels."""
+    """Parameters of the authors' prefilter and filter bank, for images of 128 pixels."""
 
     n_blocks: int = Field(4, gt=0, description="Number of blocks along either side of the image.")
     block_px: int = Field(

@@ -16,7 +16,7 @@ NO_DESKEW = np.array([])
 
 
 class KissIcpParams(Params):
-    """What of KISS-ICP depends on the sensor."""
+    """Parameters of KISS-ICP that depend on the sensor."""
 
     stride: int = Field(
         3, gt=0, description="Every n-th pixel of rows and columns becomes a point."

@@ -28,7 +28,7 @@ METRE = 1.0
 
 
 class Open3dOdometryParams(Params):
-    """Which image each frame is aligned with, and how."""
+    """The image that each frame is aligned with, and the alignment."""
 
     method: Literal["frame-to-keyframe", "frame-to-frame"] = Field(
         "frame-to-keyframe",
@@ -71,7 +71,7 @@ class Open3dOdometryParams(Params):
 
 
 class Open3dOdometry:
-    """Odometry of depth images. A frame that cannot be aligned is taken not to have moved."""
+    """Odometry of depth images. A frame that cannot be aligned repeats the last pose."""
 
     Params = Open3dOdometryParams
 

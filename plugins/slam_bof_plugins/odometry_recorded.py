@@ -33,7 +33,7 @@ MAX_WAIT_S = 60.0
 
 
 class RecordedParams(Params):
-    """Which poses, and how they fit the frames."""
+    """The trajectory to play back, and how it fits the frames."""
 
     file: Path = Field(
         description="File with the trajectory: TUM lines, KITTI lines, a NumPy array, or a ROS bag."
@@ -82,7 +82,7 @@ class RecordedOdometry:
     DatasetError
         If the file cannot be read, or by its stamps has nothing to do with the first frame.
     PluginError
-        If it is a bag, and what reads bags is not installed.
+        If it is a bag, and the library that reads bags is not installed.
     """
 
     Params = RecordedParams
@@ -104,7 +104,7 @@ class RecordedOdometry:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: the next frame is a first one, and the identity."""
+        """Start again: the next frame is the first one and gets the identity."""
         self._n_frames = 0
         self._T_first_world: Pose | None = None
         self._T_odom_camera = np.eye(4)
@@ -192,7 +192,7 @@ def _read_bag(params: RecordedParams) -> Trajectory:
 
 
 def _text_format(file: Path) -> Literal["tum", "kitti"]:
-    """Tell TUM from KITTI by the first line that has numbers; what is neither, TUM's will name."""
+    """Distinguish TUM from KITTI by the first line of numbers; TUM where it is neither."""
     try:
         with file.open(encoding="utf-8", errors="replace") as lines:
             for line in lines:

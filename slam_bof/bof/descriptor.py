@@ -15,15 +15,15 @@ __all__ = ["BofParams", "describe"]
 Complex = NDArray[np.complex128]
 
 POINT_PX = 1e-6
-"""What reaches no farther is a point, whose radii are zero but for rounding."""
+"""A contour whose largest radius is below this is a point; its radii are rounding errors."""
 
 
 class BofParams(Params):
-    """How a contour is sampled, and where its descriptor begins.
+    """Sampling of a contour, and first value of its descriptor.
 
-    The paper leaves both open. Beyond it, ``farthest`` begins at the largest radius, and
-    ``fourier`` keeps the magnitudes of the radii's spectrum only, which are the same wherever
-    the contour begins: both forget how the shape is turned.
+    The paper specifies neither. Beyond it, ``farthest`` begins at the largest radius, and
+    ``fourier`` keeps only the magnitudes of the radii's spectrum; both are invariant to rotations
+    of the shape in the image.
     """
 
     n_points: int = Field(

@@ -17,16 +17,15 @@ MAX_PIXELS = 2**30
 
 
 class LayerParams(Params):
-    """How a cloud is cut, and how each layer is drawn.
+    """How a point cloud is cut into layers, and how each layer is drawn.
 
     The paper rounds to the nearest index, which makes ``n_layers + 1`` layers with ends of
     half a width (``rounding="nearest"``); the default takes the floor, with the last layer
     closed, so that exactly ``n_layers`` equal layers hold every point once.
 
-    Beyond the paper, ``thickness_m`` and ``pixel_m`` fix the scale, so that a thing looks the
-    same whatever else the frame shows: layer l then holds the heights from
-    ``start_m + l thickness_m``, and the image's centre is the camera. What lies outside is
-    not drawn.
+    Beyond the paper, ``thickness_m`` and ``pixel_m`` fix the scale, so that an object looks the
+    same whatever else the frame shows: layer l then begins at ``start_m + l thickness_m``, and the
+    camera is at the image's centre. Points outside are not drawn.
     """
 
     n_layers: int = Field(

@@ -24,7 +24,7 @@ __all__ = ["Dropped", "FramePoseSynchroniser", "SynchroniserParams"]
 
 
 class SynchroniserParams(Params):
-    """How much is kept, and how long a frame waits."""
+    """Limits of what is kept, and how long a frame waits."""
 
     max_frames: int = Field(64, gt=0, description="Largest number of frames that wait for a pose.")
     max_poses: int = Field(1000, gt=1, description="Largest number of poses that are kept.")
@@ -47,7 +47,7 @@ class SynchroniserParams(Params):
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """A frame that was not paired, or a pose that nobody waits for, and why."""
+    """A frame that was not paired, or a pose that came too late for any frame, and the reason."""
 
     stamp_s: float
     reason: str
@@ -83,7 +83,7 @@ class FramePoseSynchroniser:
         return len(self._frames)
 
     def add_frame(self, frame: DepthFrame) -> bool:
-        """Take a frame, in any order; tell whether it was taken.
+        """Add a frame, in any order; return whether it was accepted.
 
         One that is not newer than those given out already is dropped; one that there is no room
         for is refused, and still yours.

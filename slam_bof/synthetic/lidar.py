@@ -13,7 +13,7 @@ __all__ = ["Lidar", "LidarParams"]
 
 
 class LidarParams(Params):
-    """A sensor of 64 rings over 90 degrees, unless told otherwise."""
+    """Parameters of the sensor, by default 64 rings over 90 degrees."""
 
     n_rings: int = Field(64, gt=1, description="Number of rings.")
     n_columns: int = Field(1024, gt=1, description="Number of points of a ring.")
