@@ -52,14 +52,14 @@ def places(
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.core import registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
-    from slam_bof.visualization import Missed, find_missed_queries, write_missed_queries
+    from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
 
     names = [RECOGNISER, *registry.names("descriptors")]
     chosen = names if descriptors == "all" else [name.strip() for name in descriptors.split(",")]
     for name in chosen:
         if name != RECOGNISER:
             registry.load("descriptors", name)
-    missed: list[Missed] = []
+    missed: list[MissedQueries] = []
 
     def collect_misses(
         dataset: Dataset,
@@ -69,7 +69,7 @@ def places(
         allowed: NDArray[np.bool_],
     ) -> None:
         found = find_missed_queries(scored.scores, right["overlap"], allowed)
-        missed.append(Missed(scored.method, dataset, indices, *found))
+        missed.append(MissedQueries(scored.method, dataset, indices, *found))
 
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(
