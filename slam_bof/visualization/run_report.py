@@ -159,9 +159,7 @@ def _error_section(data: ReportData, truth: Trajectory) -> str:
     return page.section(
         "Position error",
         "Distance of each frame's position from ground truth, after the same alignment.",
-        page.figure_html(
-            figures.draw_errors(_since_start(data, data.optimized.stamps_s), errors_m), "errors"
-        ),
+        page.figure_html(figures.draw_errors(times_s, errors_m), "errors"),
     )
 
 
@@ -198,9 +196,7 @@ def _label_section(data: ReportData) -> str:
         "neighbouring keyframes. Larger points are more probable labels. "
         + ("Grey squares are the true labels." if known else "The true labels are unknown."),
         *(
-            page.figure_html(
-                figures.draw_labels(_since_start(data, stamps_s), scenes, data.true_scenes), name
-            )
+            page.figure_html(figures.draw_labels(times_s, scenes, data.true_scenes), name)
             for name, scenes in drawn.items()
             if any(scene is not None for scene in scenes)
         ),
