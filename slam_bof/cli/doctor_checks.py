@@ -97,7 +97,7 @@ def _open3d() -> str:
 def _model() -> str:
     from slam_bof.scenes import model
 
-    return f"hash {model.load_default().content_hash[:12]}"
+    return f"hash {model.resolve().content_hash[:12]}"
 
 
 def _threads() -> Finding:

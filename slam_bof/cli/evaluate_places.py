@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,11 +10,7 @@ import typer
 from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from slam_bof.evaluation import Scored
-    from slam_bof.ports import Dataset
+    from slam_bof.evaluation import MethodScores, PlaceQueries
 
 __all__ = ["places"]
 
@@ -61,15 +56,9 @@ def places(
             registry.load("descriptors", name)
     missed: list[MissedQueries] = []
 
-    def collect_misses(
-        dataset: Dataset,
-        indices: Sequence[int],
-        scored: Scored,
-        right: dict[str, NDArray[np.bool_]],
-        allowed: NDArray[np.bool_],
-    ) -> None:
-        found = find_missed_queries(scored.scores, right["overlap"], allowed)
-        missed.append(MissedQueries(scored.method, dataset, indices, *found))
+    def collect_misses(queries: PlaceQueries, scores: MethodScores) -> None:
+        found = find_missed_queries(scores.scores, queries.relevant["overlap"], queries.allowed)
+        missed.append(MissedQueries(scores.method, queries.dataset, queries.indices, *found))
 
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(
@@ -81,7 +70,7 @@ def places(
             odometry=odometry,
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),
-            on_scored=collect_misses,
+            on_scores=collect_misses,
         )
     if curves is not None:
         _write_curves(rows, curves)

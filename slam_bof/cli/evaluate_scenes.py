@@ -84,7 +84,7 @@ def scenes(
 ) -> None:
     """Compare methods of scene labelling: accuracy, calibration and cost."""
     from slam_bof.cli.console import Bars, print_json
-    from slam_bof.evaluation import compare, make_methods
+    from slam_bof.evaluation import compare_methods, make_methods
     from slam_bof.visualization import write_comparison
 
     _check_options(protocol, label=label, csv=csv, data=data, train=train, test=test)
@@ -98,7 +98,7 @@ def scenes(
     # The paper's hold-out asks for neighbours in time on both sides, so calibration does as well.
     groups = [str(k) for k in range(len(split.train))] if protocol == "holdout" else None
     with Bars(quiet=quiet) as bars:
-        results, left_out = compare(split, chosen, groups=groups, on_progress=bars.show)
+        results, left_out = compare_methods(split, chosen, groups=groups, on_progress=bars.show)
     files = []
     if out is not None:
         subtitle = f"{len(split.train)} frames to train with, {len(split.test)} to test with"

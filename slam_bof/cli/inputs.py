@@ -30,7 +30,7 @@ def open_sequence(
         If the layout is unknown, or the folder has single images instead of a sequence.
     """
     from slam_bof.core import registry
-    from slam_bof.datasets import Excerpt
+    from slam_bof.datasets import SequenceSlice
     from slam_bof.errors import DatasetError
     from slam_bof.ports import LabelledImages
 
@@ -46,4 +46,4 @@ def open_sequence(
             f"{path}: found single images of {name}, expected a sequence; "
             "single images serve train and evaluate scenes"
         )
-    return (dataset if frames is None else Excerpt.parse(dataset, frames)), remarks
+    return (dataset if frames is None else SequenceSlice.parse(dataset, frames)), remarks

@@ -159,7 +159,7 @@ def _label_image(
         numbers = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
     answer = label_image(
         path,
-        models.load_default() if model == "default" else models.load(model),
+        models.resolve(model),
         intrinsics=numbers,
         depth_scale=depth_scale,
         min_probability=min_probability,

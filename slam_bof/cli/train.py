@@ -12,7 +12,7 @@ from slam_bof.cli.options import EVERY, JSON, N_WORDS, QUIET, SEED
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
-    from slam_bof.evaluation import TrainedScenes
+    from slam_bof.evaluation import TrainedSceneModel
 
 __all__ = ["train"]
 
@@ -97,7 +97,7 @@ def train(
     from slam_bof.bof import LayerParams, PlaceParams
     from slam_bof.cli.console import Bars
     from slam_bof.datasets import frames_of, open_labelled, parse_label, read_label_file
-    from slam_bof.evaluation import train_scenes
+    from slam_bof.evaluation import train_scene_model
     from slam_bof.scenes import model as models
 
     _check_out(out)
@@ -109,7 +109,7 @@ def train(
         params = PlaceParams(layers=LayerParams(n_layers=layers))
     names = sorted({f"{s.dataset.sequence} ({s.label})" for s in sequences})
     with Bars(quiet=quiet) as bars:
-        trained = train_scenes(
+        trained = train_scene_model(
             frames_of(sequences, every=every),
             params,
             trained_on=", ".join(names),
@@ -134,16 +134,16 @@ def _check_out(out: Path) -> None:
     out.with_name(out.name + ".part").unlink()
 
 
-def _show(trained: TrainedScenes, out: Path, *, as_json: bool) -> None:
+def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
     from slam_bof.cli.console import print_json, print_table
 
-    scores, found = trained.scores, trained.found
+    scores, svm = trained.scores, trained.svm_params
     figures: dict[str, Any] = {
         "model": str(out),
         "content_sha256": trained.model.content_hash,
         "n_bytes": out.stat().st_size,
         "trained_on": trained.model.trained_on,
-        "grid_search": asdict(found) if found else None,
+        "grid_search": asdict(svm) if svm else None,
         "n_checked": trained.n_checked,
     }
     if scores is not None:
@@ -158,11 +158,11 @@ def _show(trained: TrainedScenes, out: Path, *, as_json: bool) -> None:
     if as_json:
         print_json(figures)
         return
-    if found is not None:
-        gamma = "" if found.gamma == "scale" else f", gamma {found.gamma:g}"
+    if svm is not None:
+        gamma = "" if svm.gamma == "scale" else f", gamma {svm.gamma:g}"
         typer.echo(
-            f"Grid search: {found.name}, C {found.C:g}{gamma}; "
-            f"accuracy {found.accuracy:.3f} in cross-validation."
+            f"Grid search: {svm.name}, C {svm.C:g}{gamma}; "
+            f"accuracy {svm.accuracy:.3f} in cross-validation."
         )
     if scores is not None:
         print_table(

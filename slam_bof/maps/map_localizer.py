@@ -87,9 +87,7 @@ class MapLocalizer:
                     "expected a finished one: resume it first"
                 )
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
-            model = (
-                models.load_default() if config.model == "default" else models.load(config.model)
-            )
+            model = models.resolve(config.model)
             components = components_of(store)
             largest = np.flatnonzero(components == np.bincount(components).argmax())
             localizer = Localizer(

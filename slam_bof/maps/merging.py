@@ -85,7 +85,7 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
         keyframes.keyframes,
         T_map_camera,
         config.labels,
-        config.regions,
+        config.rooms,
         components=keyframes.components,
     )
     for id_, frames in tails.items():

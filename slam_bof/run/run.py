@@ -257,7 +257,7 @@ def _finish(
         closer.map.keyframes,
         T_map_camera,
         config.labels,
-        config.regions,
+        config.rooms,
         components=closer.map.components,
     )
     store.finish(

@@ -13,7 +13,7 @@ from slam_bof.core import describe_error, registry, suggest
 from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
-from slam_bof.scenes import RegionParams, SceneFilterParams
+from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
 from slam_bof.types import Params
 
@@ -68,6 +68,12 @@ RENAMED_KEYS = {
     "component_joining.n_compared": "n_pairs",
     "component_joining.max_blocking": "max_free_space_violation",
     "options.max_blocking": "max_free_space_violation",
+    "labels.stay_s": "mean_stay_s",
+    "labels.stay_m": "mean_stay_m",
+    "labels.evidence": "evidence_exponent",
+    "labels.smoothing_evidence": "smoothing_evidence_exponent",
+    "labels.ahead_m": "look_ahead_m",
+    "regions": "rooms",
 }
 """Keys of earlier versions by the end of their path, and their names today."""
 
@@ -107,7 +113,7 @@ class Config(Params):
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()
-    regions: RegionParams = RegionParams()
+    rooms: RoomSegmentationParams = RoomSegmentationParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()

@@ -16,7 +16,7 @@ import numpy as np
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import restore_frame
-from slam_bof.scenes import Region
+from slam_bof.scenes import MapRoom
 from slam_bof.store.database import MapDatabase
 from slam_bof.store.row_codec import (
     INSERT_CANDIDATE,
@@ -89,7 +89,7 @@ class SessionResult:
     frames: Sequence[FramePose]
     T_map_camera: Array
     smoothed: Sequence[Scene | None]
-    regions: Sequence[Region]
+    regions: Sequence[MapRoom]
     left_out: Iterable[Loop] = ()
     reason: str = ""
 
@@ -242,7 +242,7 @@ class MapStore(MapDatabase):
                 poses[i] = decode_pose(row, "map_")
         return poses
 
-    def regions(self) -> list[Region]:
+    def regions(self) -> list[MapRoom]:
         """Return the rooms of the map; none until a session is finished."""
         ids_by_room: dict[int, list[int]] = {}
         for row in self.select("SELECT id, region FROM keyframes WHERE region IS NOT NULL"):

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slam_bof.errors import MapError
-from slam_bof.scenes import UNKNOWN, Region
+from slam_bof.scenes import UNKNOWN_LABEL, MapRoom
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import decode_scene
 from slam_bof.store.schema import POSE_COLUMNS
@@ -134,7 +134,7 @@ def query_keyframes(
 
 def query_rooms(
     store: MapStore, *, scene: str | None = None, min_probability: float = 0.0
-) -> list[Region]:
+) -> list[MapRoom]:
     """Return the rooms of a map; of one scene label, the most probable first.
 
     Raises
@@ -172,9 +172,9 @@ def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[Loop
 
 def _check_scene(store: MapStore, scene: str | None) -> None:
     classes = store.classes()
-    if scene is None or scene in classes or (scene == UNKNOWN and classes):
+    if scene is None or scene in classes or (scene == UNKNOWN_LABEL and classes):
         return
-    known = ", ".join((*classes, UNKNOWN)) if classes else "none, it has no labels"
+    known = ", ".join((*classes, UNKNOWN_LABEL)) if classes else "none, it has no labels"
     raise MapError(f"{store.path}: found no scene {scene!r}, expected one of: {known}")
 
 

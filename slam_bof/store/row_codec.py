@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
+from slam_bof.scenes import MapRoom
 from slam_bof.store.schema import BOX_COLUMNS, POSE_COLUMNS, SMOOTHED_COLUMNS
 from slam_bof.types import (
     Bag,
@@ -134,17 +134,17 @@ def encode_scene(scene: Scene | None) -> Row:
     return scene.label, float(scene.probability), _to_blob(scene.probabilities, "<f8")
 
 
-def encode_region(region: Region) -> Row:
+def encode_region(region: MapRoom) -> Row:
     """Return the values of ``INSERT_REGION``."""
     box = (*region.center_m, *region.low_m, *region.high_m)
     return (region.id, region.label, region.probability, len(region.keyframe_ids), *box)
 
 
-def decode_region(row: Any, keyframe_ids: Sequence[int]) -> Region:
+def decode_region(row: Any, keyframe_ids: Sequence[int]) -> MapRoom:
     """Return the room in a row of ``regions``."""
     values = [row[name] for name in BOX_COLUMNS]
     center_m, low_m, high_m = ((values[k], values[k + 1], values[k + 2]) for k in (0, 3, 6))
-    return Region(
+    return MapRoom(
         id=row["id"],
         label=row["label"],
         probability=row["probability"],

@@ -74,8 +74,8 @@ def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path
     assert json.loads(result.stdout)["n_checked"] == 0
     trained = model.load(out)
     assert trained.places.layers.n_layers == 3
-    assert trained.scenes.machine == "naive-bayes"
-    assert trained.levels is None
+    assert trained.bag_classifier.classifier == "naive-bayes"
+    assert trained.levelled_classifier is None
     picture = next((boxes / "hall" / "seq-01").glob("*.png"))
     answer = slam_bof("query", picture, "--model", out, "--json")
     assert set(json.loads(answer.stdout)["probabilities"]) == set(SIZES_M)

@@ -18,7 +18,7 @@ from saved_maps import (
 )
 
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
+from slam_bof.scenes import MapRoom
 from slam_bof.store import MapStore, Session, SessionResult, replay_keyframes
 from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
@@ -225,7 +225,7 @@ def test_the_views_are_readable(filled: MapStore) -> None:
 def test_smoothed_labels_and_rooms(path: Path) -> None:
     kitchen = Scene("kitchen", 0.7, CLASSES, np.array([0.7, 0.3]))
     unsure = Scene("unknown", 0.5, CLASSES, np.array([0.5, 0.5]))
-    region = Region(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
+    region = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
     with MapStore.create(path) as store:
         save(store, replace(make_keyframe(0), smoothed=unsure))
         save(store, make_keyframe(1))

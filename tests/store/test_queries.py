@@ -9,7 +9,7 @@ from saved_maps import save
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
+from slam_bof.scenes import MapRoom
 from slam_bof.store import MapStore, SessionResult, query_keyframes, query_loops, query_rooms
 from slam_bof.types import Bag, CandidateSource, EdgeKind, Keyframe, Loop, Scene
 
@@ -73,7 +73,7 @@ def rooms(store: MapStore) -> MapStore:
     """The same, with smoothed labels of which one differs, and two rooms."""
     labels = [("kitchen", 0.9), ("kitchen", 0.8), ("kitchen", 0.7), ("unknown", 0.5)]
     box = ((1.0, 0.0, 0.0),) * 3
-    regions = [Region(0, "kitchen", 0.6, (0, 1), *box), Region(1, "kitchen", 0.7, (2,), *box)]
+    regions = [MapRoom(0, "kitchen", 0.6, (0, 1), *box), MapRoom(1, "kitchen", 0.7, (2,), *box)]
     poses = np.array([keyframe.T_odom_camera for keyframe in store.keyframes()])
     store.finish(0, SessionResult([], poses, [smoothed(*label) for label in labels], regions))
     return store
