@@ -34,16 +34,38 @@ class GenzIcpParams(Params):
     """What of GenZ-ICP depends on the sensor."""
 
     points: PointParams = PointParams(stride=3, max_range_m=5.0)
-    voxel_size_m: float = Field(0.06, gt=0, description="of the map")
-    max_points_per_voxel: int = Field(1, gt=0)
-    leaf_size_m: float = Field(0.09, gt=0, description="a frame is thinned to before aligning")
-    planarity_threshold: float = Field(0.2, gt=0, description="below it a surface is a plane")
-    map_radius_m: float = Field(8.0, gt=0, description="farther parts of the map are forgotten")
-    initial_threshold_m: float = Field(0.1, gt=0)
-    min_motion_m: float = Field(0.015, gt=0)
-    max_iterations: int = Field(100, gt=0)
-    convergence: float = Field(1e-4, gt=0)
-    min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")
+    voxel_size_m: float = Field(0.06, gt=0, description="Side of the voxels of the local map.")
+    max_points_per_voxel: int = Field(
+        1, gt=0, description="Largest number of points in a voxel of the local map."
+    )
+    leaf_size_m: float = Field(
+        0.09,
+        gt=0,
+        description="Side of the voxels to which a frame is downsampled before registration.",
+    )
+    planarity_threshold: float = Field(
+        0.2, gt=0, description="Largest surface variation of a neighbourhood that counts as planar."
+    )
+    map_radius_m: float = Field(
+        8.0, gt=0, description="Distance from the camera beyond which the local map is dropped."
+    )
+    initial_threshold_m: float = Field(
+        0.1,
+        gt=0,
+        description="Correspondence threshold before the motion model has errors to adapt it.",
+    )
+    min_motion_m: float = Field(
+        0.015, gt=0, description="Smallest model error that adapts the correspondence threshold."
+    )
+    max_iterations: int = Field(100, gt=0, description="Largest number of ICP iterations.")
+    convergence: float = Field(
+        1e-4, gt=0, description="Size of an ICP step below which iteration stops, in rad and m."
+    )
+    min_points: int = Field(
+        100,
+        gt=0,
+        description="Fewest points of a frame; with fewer the camera is assumed to stand still.",
+    )
 
 
 class GenzIcpOdometry:

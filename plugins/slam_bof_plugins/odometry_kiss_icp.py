@@ -18,17 +18,33 @@ NO_DESKEW = np.array([])
 class KissIcpParams(Params):
     """What of KISS-ICP depends on the sensor."""
 
-    stride: int = Field(3, gt=0, description="every stride-th pixel in each direction")
-    voxel_size_m: float = Field(0.06, gt=0)
-    min_range_m: float = Field(0.1, ge=0)
-    max_range_m: float = Field(5.0, gt=0)
-    max_points_per_voxel: int = Field(1, gt=0)
-    initial_threshold_m: float = Field(0.1, gt=0)
-    min_motion_m: float = Field(0.015, gt=0)
-    max_iterations: int = Field(100, gt=0)
-    convergence: float = Field(1e-4, gt=0)
-    n_threads: int = Field(1, ge=0, description="0 for all; 1 is often faster")
-    min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")
+    stride: int = Field(3, gt=0, description="Step between the pixels used, in rows and columns.")
+    voxel_size_m: float = Field(0.06, gt=0, description="Side of the voxels of the local map.")
+    min_range_m: float = Field(0.1, ge=0, description="Smallest depth used.")
+    max_range_m: float = Field(5.0, gt=0, description="Largest depth used.")
+    max_points_per_voxel: int = Field(
+        1, gt=0, description="Largest number of points in a voxel of the local map."
+    )
+    initial_threshold_m: float = Field(
+        0.1,
+        gt=0,
+        description="Correspondence threshold before the motion model has errors to adapt it.",
+    )
+    min_motion_m: float = Field(
+        0.015, gt=0, description="Smallest model error that adapts the correspondence threshold."
+    )
+    max_iterations: int = Field(100, gt=0, description="Largest number of ICP iterations.")
+    convergence: float = Field(
+        1e-4, gt=0, description="Size of an ICP step below which iteration stops, in rad and m."
+    )
+    n_threads: int = Field(
+        1, ge=0, description="Number of threads, 0 for all cores; 1 is often faster."
+    )
+    min_points: int = Field(
+        100,
+        gt=0,
+        description="Fewest points of a frame; with fewer the camera is assumed to stand still.",
+    )
 
 
 class KissIcpOdometry:

@@ -30,16 +30,31 @@ METRE = 1.0
 class Open3dOdometryParams(Params):
     """Which image each frame is aligned with, and how."""
 
-    method: Literal["frame-to-keyframe", "frame-to-frame"] = "frame-to-keyframe"
-    keyframe_m: float = Field(0.1, gt=0, description="so far from the last, a new keyframe")
-    keyframe_rad: float = Field(0.15, gt=0, description="or turned by so much")
-    stride: int = Field(4, gt=0, description="every stride-th pixel in each direction")
-    min_range_m: float = Field(0.1, ge=0)
-    max_range_m: float = Field(5.0, gt=0)
-    iterations: tuple[int, ...] = Field((10, 5, 5), description="coarse to fine, halving pixels")
-    max_distance_m: float = Field(0.07, gt=0, description="between points that match")
-    min_fitness: float = Field(0.2, ge=0, le=1, description="share of points that must match")
-    min_points: int = Field(100, gt=0, description="pixels with a depth that a frame must have")
+    method: Literal["frame-to-keyframe", "frame-to-frame"] = Field(
+        "frame-to-keyframe", description="Which earlier frame a frame is registered to."
+    )
+    keyframe_m: float = Field(
+        0.1, gt=0, description="Distance from the last keyframe at which a new one is made."
+    )
+    keyframe_rad: float = Field(
+        0.15, gt=0, description="Rotation from the last keyframe at which a new one is made."
+    )
+    stride: int = Field(4, gt=0, description="Step between the pixels used, in rows and columns.")
+    min_range_m: float = Field(0.1, ge=0, description="Smallest depth used.")
+    max_range_m: float = Field(5.0, gt=0, description="Largest depth used.")
+    iterations: tuple[int, ...] = Field(
+        (10, 5, 5),
+        description="Iterations on each level of the image pyramid, from coarse to fine.",
+    )
+    max_distance_m: float = Field(
+        0.07, gt=0, description="Largest distance between matching points."
+    )
+    min_fitness: float = Field(
+        0.2, ge=0, le=1, description="Smallest share of points that must match."
+    )
+    min_points: int = Field(
+        100, gt=0, description="Fewest pixels with a depth that a frame must have."
+    )
 
 
 class Open3dOdometry:

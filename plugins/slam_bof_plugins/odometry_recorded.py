@@ -35,24 +35,36 @@ MAX_WAIT_S = 60.0
 class RecordedParams(Params):
     """Which poses, and how they fit the frames."""
 
-    file: Path = Field(description="of TUM lines, KITTI lines or a NumPy array; or a ROS bag")
+    file: Path = Field(
+        description="File of poses in TUM or KITTI format, a NumPy array, or a ROS bag."
+    )
     format: Literal["auto", "tum", "kitti", "npy", "bag"] = Field(
-        "auto", description="auto: .npy and bags by their names, else by the numbers in a line"
+        "auto",
+        description="Format of the file; auto takes .npy files and bags by their names, and "
+        "others by the numbers in a line.",
     )
     topic: str | None = Field(
-        None, description="of a bag: by default its only nav_msgs/Odometry, poses or tf"
+        None,
+        description="Topic in a bag; by default the only one of nav_msgs/Odometry, poses or tf.",
     )
-    world_frame: str = Field("odom", description="of tf in a bag: the frame that poses are in")
+    world_frame: str = Field(
+        "odom", description="Frame of reference of the poses, for tf in a bag."
+    )
     camera_frame: str | None = Field(
-        None, description="of a bag: what moves; by default what its depth images are of"
+        None, description="Moving frame, for a bag; by default the frame of its depth images."
     )
     convention: Literal["camera", "ros", "opengl"] = Field(
-        "camera", description="the axes of what moves: camera: z forward, y down; ros: x forward, "
-        "z up; opengl: z back, y up"
-    )  # fmt: skip
-    world_to_camera: bool = Field(False, description="the file has the inverse poses")
-    offset_s: float = Field(0.0, description="added to the recorded stamps")
-    max_gap_s: float = Field(0.25, gt=0, description="poses farther apart are not interpolated")
+        "camera",
+        description="Axes of the moving frame. camera: z forward, y down; ros: x forward, z up; "
+        "opengl: z back, y up.",
+    )
+    world_to_camera: bool = Field(
+        False, description="Whether the file has the inverse poses, T_camera_world."
+    )
+    offset_s: float = Field(0.0, description="Time added to the recorded time stamps.")
+    max_gap_s: float = Field(
+        0.25, gt=0, description="Longest time between two poses that is interpolated."
+    )
 
 
 class RecordedOdometry:
