@@ -86,6 +86,7 @@ class GtsamBackend:
         self._segments: list[int] = []
         self._held = DisjointSet()
         self._has_new_loop = False
+        self._is_optimized = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
             np.repeat([p.odometry_sigma_rad, p.odometry_sigma_m], 3)
@@ -93,7 +94,12 @@ class GtsamBackend:
         self._lost_noise = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
-        """Add a node where the odometry puts it, tied to the node before it."""
+        """Add a node where the odometry puts it, tied to the node before it.
+
+        After ``optimize``, the graph goes on from its optimum, without the loops left out.
+        """
+        if self._is_optimized:
+            self._start_afresh(gtsam.ISAM2Params())
         key = len(self._T_odom_camera)
         factor: gtsam.NonlinearFactor
         if key == 0:
@@ -178,6 +184,7 @@ class GtsamBackend:
         for loop in self._kept():
             graph.add(self._robust(*loop))
         self._estimate = optimized(graph, self._estimate, p.max_iterations)
+        self._is_optimized = True
         return self._weights
 
     def poses(self) -> Array:
@@ -196,9 +203,10 @@ class GtsamBackend:
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
+        self._is_optimized = False
         self._isam = gtsam.ISAM2(params)
         self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
-        for loop in self._loops:
+        for loop in self._kept():
             self._new_factors.add(self._robust(*loop))
         self._new_values = gtsam.Values(self._estimate)
 
