@@ -35,16 +35,35 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 class GtsamParams(Params):
     """Noise of the odometry per step between keyframes, and of an average loop."""
 
-    odometry_sigma_rad: float = Field(0.05, gt=0)
-    odometry_sigma_m: float = Field(0.05, gt=0)
-    loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
-    cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
-    tolerance: float = Field(
-        0.01, ge=0, description="rad and m by which loops may contradict the map while frames come"
+    odometry_sigma_rad: float = Field(
+        0.05, gt=0, description="Standard deviation of odometry between keyframes, in rotation."
     )
-    n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
-    max_iterations: int = Field(50, gt=0)
-    select_loops: bool = Field(True, description="leave out, at the end, what contradicts the rest")
+    odometry_sigma_m: float = Field(
+        0.05, gt=0, description="Standard deviation of odometry between keyframes, in translation."
+    )
+    loop_sigma: float = Field(
+        0.01,
+        gt=0,
+        description="Standard deviation of loops, the mean over the six axes, in rad and m.",
+    )
+    cauchy: float = Field(
+        1.0, gt=0, description="Scale of the Cauchy robust kernel, in standard deviations."
+    )
+    tolerance: float = Field(
+        0.01,
+        ge=0,
+        description="Disagreement of a loop with the map that is tolerated while frames arrive, "
+        "in rad and m.",
+    )
+    n_updates: int = Field(3, gt=0, description="Number of iSAM2 updates after a loop.")
+    max_iterations: int = Field(
+        50, gt=0, description="Largest number of iterations of the final optimisation."
+    )
+    select_loops: bool = Field(
+        True,
+        description="Whether the final optimisation leaves out loops that are inconsistent with "
+        "the others.",
+    )
     selection: SelectionParams = SelectionParams()
 
 
