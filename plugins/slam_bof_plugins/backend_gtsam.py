@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.cluster.hierarchy import DisjointSet
 
-from slam_bof.geometry import se3
+from slam_bof.geometry import GraphEdge, loop_information, se3, step_sigmas, write_g2o
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,
@@ -89,7 +89,7 @@ class GtsamBackend:
         self._is_optimized = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
-            np.repeat([p.odometry_sigma_rad, p.odometry_sigma_m], 3)
+            step_sigmas(p.odometry_sigma_rad, p.odometry_sigma_m)
         )
         self._lost_noise = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
 
@@ -142,8 +142,8 @@ class GtsamBackend:
         over and over, iSAM2's tree would become dense and each update slower than the last. The
         first between two segments never waits: without, the lost step alone would place them.
         """
-        shape = loop.information / np.trace(loop.information) * 6.0
-        noise = gtsam.noiseModel.Gaussian.Information(shape / self.params.loop_sigma**2)
+        information = loop_information(loop.information, self.params.loop_sigma)
+        noise = gtsam.noiseModel.Gaussian.Information(information)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
         self._loops.append((edge, noise))
         joins = self._held.merge(self._segments[edge.match], self._segments[edge.query])
@@ -192,14 +192,24 @@ class GtsamBackend:
         return poses_of(self._estimate)
 
     def write_g2o(self, path: Path) -> None:
-        """Write nodes and edges as .g2o; GTSAM puts the translation first, as g2o has it."""
-        graph = gtsam.NonlinearFactorGraph()
-        for key in range(1, self._odometry.size()):
-            graph.add(self._odometry.at(key))
-        for edge, noise in self._kept():
-            # Robust models have no place in the format: the plain one is written.
-            graph.add(gtsam.BetweenFactorPose3(*edge, noise))
-        gtsam.writeG2o(graph, self._estimate, str(path))
+        """Write nodes and edges as .g2o, without the loops left out.
+
+        Robust kernels have no place in the format. Steps over which odometry was lost are left
+        out too: they only keep the linear systems well-posed.
+        """
+        p = self.params
+        steps = np.diag(step_sigmas(p.odometry_sigma_rad, p.odometry_sigma_m) ** -2.0)
+        T = self._T_odom_camera
+        edges = [
+            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], steps)
+            for k in range(1, len(T))
+            if self._segments[k - 1] == self._segments[k]
+        ]
+        edges += [
+            GraphEdge(edge.match, edge.query, edge.measured.matrix(), noise.information())
+            for edge, noise in self._kept()
+        ]
+        write_g2o(path, enumerate(self.poses()), edges)
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""

@@ -17,6 +17,12 @@ from .depth_view import (
 from .frustum import (
     view_overlap as view_overlap,
 )
+from .g2o import (
+    GraphEdge as GraphEdge,
+    loop_information as loop_information,
+    step_sigmas as step_sigmas,
+    write_g2o as write_g2o,
+)
 from .gravity import (
     GravityTracker as GravityTracker,
     down_of_map as down_of_map,

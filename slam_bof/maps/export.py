@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from slam_bof.core import registry
 from slam_bof.errors import MapError
-from slam_bof.geometry import write_kitti, write_tum
-from slam_bof.maps.g2o import write_g2o
+from slam_bof.geometry import (
+    GraphEdge,
+    loop_information,
+    se3,
+    step_sigmas,
+    write_g2o,
+    write_kitti,
+    write_tum,
+)
 from slam_bof.maps.occupancy_grid import (
     OccupancyGridParams,
     build_occupancy_grid,
@@ -20,12 +29,15 @@ from slam_bof.maps.occupancy_grid import (
 from slam_bof.maps.point_cloud import write_keyframe_cloud
 from slam_bof.slam import FrameHistory, config as configs
 from slam_bof.store import MapStore, query_keyframes
-from slam_bof.types import DepthFrame, Trajectory
+from slam_bof.types import DepthFrame, Keyframe, Trajectory
 
 __all__ = ["FORMATS", "Format", "export_map", "session_trajectory"]
 
 Format = Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"]
 FORMATS: tuple[Format, ...] = ("tum", "kitti", "csv", "g2o", "ply", "occupancy")
+
+DEFAULT_STEP_SIGMA, DEFAULT_LOOP_SIGMA = 0.05, 0.01
+"""In rad and m, for back-ends that have no such parameters."""
 
 
 def export_map(
@@ -79,12 +91,7 @@ def export_map(
     if not np.isfinite(poses).all():
         raise _interrupted(store)
     if format_ == "g2o":
-        options = configs.parse_saved(store.sessions()[-1].config, str(store.path)).backend.options
-        sigmas = {
-            name: float(options.get(name, 0.05))
-            for name in ("odometry_sigma_rad", "odometry_sigma_m")
-        }
-        write_g2o(path, keyframes, poses, store.loops(), **sigmas)
+        write_g2o(path, enumerate(poses), _graph_edges(store, keyframes))
         return len(keyframes)
     views = _views(store, own)
     if format_ == "ply":
@@ -127,6 +134,24 @@ def _write_poses(
     trajectory = Trajectory(trajectory.stamps_s[known], trajectory.poses[known])
     (write_tum if format_ == "tum" else write_kitti)(path, trajectory)
     return len(trajectory)
+
+
+def _graph_edges(store: MapStore, keyframes: Sequence[Keyframe]) -> Iterator[GraphEdge]:
+    """Yield the edges of the pose graph, weighted as the back-end of the newest session does."""
+    backend = configs.parse_saved(store.sessions()[-1].config, str(store.path)).backend
+    params = registry.check_options("backends", backend.name, backend.options)
+    sigmas = step_sigmas(
+        getattr(params, "odometry_sigma_rad", DEFAULT_STEP_SIGMA),
+        getattr(params, "odometry_sigma_m", DEFAULT_STEP_SIGMA),
+    )
+    loop_sigma = getattr(params, "loop_sigma", DEFAULT_LOOP_SIGMA)
+    for before, after in itertools.pairwise(keyframes):
+        if before.segment == after.segment:
+            T_before_after = se3.inverse(before.T_odom_camera) @ after.T_odom_camera
+            yield GraphEdge(before.id, after.id, T_before_after, np.diag(sigmas**-2.0))
+    for loop in store.loops():
+        information = loop_information(loop.information, loop_sigma)
+        yield GraphEdge(loop.match_id, loop.query_id, loop.T_match_query, information)
 
 
 def _interrupted(store: MapStore) -> MapError:

@@ -11,11 +11,15 @@ import yaml
 from saved_maps import make_keyframe, save
 
 from slam_bof import LoopCloser
+from slam_bof.core import registry
 from slam_bof.errors import MapError
-from slam_bof.geometry import read_tum, se3
+from slam_bof.geometry import loop_information, read_tum, se3
 from slam_bof.maps import OccupancyGridParams, export_map, session_trajectory
 from slam_bof.maps.occupancy_grid import FREE, OCCUPIED, UNKNOWN, build_occupancy_grid
 from slam_bof.store import MapStore, Session, SessionResult
+
+PER_QUATERNION = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
+"""GTSAM's reader takes g2o's information about quaternions for that about rotation vectors."""
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +66,34 @@ def test_the_pose_graph_is_read_by_gtsam(store, tmp_path):
     for loop in loops:
         edge = by_ends[loop.match_id, loop.query_id]
         np.testing.assert_allclose(edge.measured().matrix(), loop.T_match_query, atol=1e-9)
-        information = edge.noiseModel().information()
-        np.testing.assert_allclose(information, loop.information, rtol=1e-6, atol=1e-3)
+        information = edge.noiseModel().information() * np.outer(PER_QUATERNION, PER_QUATERNION)
+        expected = loop_information(loop.information, 0.01)
+        np.testing.assert_allclose(information, expected, rtol=1e-6, atol=1e-3)
+
+
+def test_the_exported_graph_is_that_of_the_run(store, tmp_path):
+    """The back-end and the map have one graph: the same edges with the same weights."""
+    backend = registry.build("backends", "gtsam", {})
+    for keyframe in store.keyframes():
+        backend.add_keyframe(keyframe)
+        backend.update()
+    for loop in store.loops():
+        backend.add_loop(loop)
+    backend.write_g2o(tmp_path / "run.g2o")
+    export_map(store, tmp_path / "map.g2o", "g2o")
+    run, exported = (
+        [
+            line.split()
+            for line in (tmp_path / name).read_text().splitlines()
+            if line.startswith("EDGE")
+        ]
+        for name in ("run.g2o", "map.g2o")
+    )
+    assert [line[:3] for line in run] == [line[:3] for line in exported]
+    for ours, theirs in zip(run, exported, strict=True):
+        np.testing.assert_allclose(
+            np.array(ours[3:], float), np.array(theirs[3:], float), rtol=1e-6, atol=1e-6
+        )
 
 
 def test_the_cloud_is_read_by_open3d(store, turn, tmp_path):

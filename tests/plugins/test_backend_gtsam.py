@@ -1,3 +1,4 @@
+import gtsam
 import numpy as np
 import pytest
 
@@ -168,7 +169,7 @@ def test_an_unobserved_direction_is_left_to_odometry():
     assert np.abs(moved[:2]).max() < 1e-4
 
 
-def test_g2o_has_translation_first(drifted, tmp_path):
+def test_g2o_has_translation_first_and_information_of_quaternions(drifted, tmp_path):
     backend, truth, _ = drifted
     information = np.diag([1.0, 2.0, 3.0, 40.0, 50.0, 60.0])
     backend.add_loop(loop(truth, N, 0, information=information))
@@ -182,7 +183,29 @@ def test_g2o_has_translation_first(drifted, tmp_path):
     (closing,) = [e for e in edges if {e[1], e[2]} == {"0", str(N)}]
     upper = np.array(closing[10:], dtype=float)
     diagonal = upper[[0, 6, 11, 15, 18, 20]]
-    np.testing.assert_allclose(diagonal / diagonal[3], [40, 50, 60, 1, 2, 3], rtol=1e-4)
+    np.testing.assert_allclose(diagonal / diagonal[3], [10, 12.5, 15, 1, 2, 3], rtol=1e-4)
+
+
+def test_the_map_is_the_optimum_of_its_g2o_file(drifted, tmp_path):
+    backend, truth, _ = drifted
+    for k in range(6):
+        backend.add_loop(loop(truth, N - k, (N - k) % 3))
+    backend.update()
+    backend.optimize()
+    backend.write_g2o(tmp_path / "graph.g2o")
+    graph, values = gtsam.readG2o(str(tmp_path / "graph.g2o"), True)
+    per_quaternion = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])  # gtsam's reader does not convert
+    factors = gtsam.NonlinearFactorGraph()
+    for k in range(graph.size()):
+        edge = graph.at(k)
+        information = edge.noiseModel().information() * np.outer(per_quaternion, per_quaternion)
+        noise = gtsam.noiseModel.Gaussian.Information(information)
+        factors.add(gtsam.BetweenFactorPose3(*edge.keys(), edge.measured(), noise))
+    held = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
+    factors.add(gtsam.PriorFactorPose3(0, values.atPose3(0), held))
+    best = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    poses = np.array([best.atPose3(k).matrix() for k in range(N + 1)])
+    np.testing.assert_allclose(poses, backend.poses(), atol=2e-3)
 
 
 def test_almost_rotations_do_no_harm():
