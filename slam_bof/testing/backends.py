@@ -75,7 +75,19 @@ def _closed(backend: Backend, truth: Array, odometry: Array) -> Backend:
     )
     after_m = _error_m(backend.poses(), truth)
     expect(after_m < 0.7 * drift_m, f"optimize must reduce drift: {drift_m:.3f} m, {after_m:.3f} m")
+    _check_goes_on(backend, odometry)
     return backend
+
+
+def _check_goes_on(backend: Backend, odometry: Array) -> None:
+    """Add a keyframe after ``optimize``: the graph goes on from its optimum."""
+    optimum = backend.poses()
+    step = se3.inverse(odometry[-2]) @ odometry[-1]
+    _add(backend, (odometry[-1] @ step)[None])
+    _expect_near(backend.poses()[:-1], optimum, 1e-2, "after optimize the map must not jump")
+    _expect_near(
+        backend.poses()[-1], optimum[-1] @ step, 1e-2, "the next keyframe must follow the optimum"
+    )
 
 
 def _check_g2o(backend: Backend) -> None:
@@ -84,7 +96,7 @@ def _check_g2o(backend: Backend) -> None:
         backend.write_g2o(file)
         tags = [line.split()[0] for line in file.read_text(encoding="utf-8").splitlines() if line]
     n_nodes = tags.count("VERTEX_SE3:QUAT")
-    expect(n_nodes == 2 * N + 1, f"g2o must have a vertex for each keyframe, got {n_nodes}")
+    expect(n_nodes == 2 * N + 2, f"g2o must have a vertex for each keyframe, got {n_nodes}")
     expect(tags.count("EDGE_SE3:QUAT") >= 2 * N, "g2o must have the edges")
 
 
