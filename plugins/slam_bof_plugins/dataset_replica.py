@@ -83,8 +83,7 @@ class Replica:
         found = _depth_files(path)
         if not found:
             raise DatasetError(
-                f"{path}: found no results/depthXXXXXX.png, "
-                "expected Replica as NICE-SLAM distributes it"
+                f"{path}: found no results/depthXXXXXX.png, expected Replica in NICE-SLAM's format"
             )
         numbers = sorted(found)
         files = [found[number] for number in numbers]
