@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from numpy.typing import NDArray
 from web_server import Server, serving
 
@@ -17,6 +18,10 @@ from slam_bof.synthetic import KINECT, Scene3D, distance_to_boxes, make_room, se
 from slam_bof.synthetic.rooms import Room
 from slam_bof.synthetic.writer import write_sequence
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
+
+# No test is timed: machines may be slow, or busy with other work.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
 
