@@ -8,6 +8,16 @@ from .compression import (
     pack as pack,
     unpack as unpack,
 )
+from .constellation import (
+    Constellation as Constellation,
+    ConstellationParams as ConstellationParams,
+    describe_constellation as describe_constellation,
+)
+from .constellation_matching import (
+    MatchingParams as MatchingParams,
+    PoseHypothesis as PoseHypothesis,
+    match_constellations as match_constellations,
+)
 from .contours import (
     ContourParams as ContourParams,
     find_contours as find_contours,

@@ -10,19 +10,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.constellation.constellation import N_HARMONICS, N_POINTS, Constellation, PlacedBofs
+from slam_bof.bof.constellation import N_HARMONICS, Constellation, PlacedBofs
 from slam_bof.types import Array, Params, Pose
 
-__all__ = ["Correspondences", "MatchingParams", "PoseHypothesis", "find_correspondences", "match"]
+__all__ = [
+    "Correspondences",
+    "MatchingParams",
+    "PoseHypothesis",
+    "find_correspondences",
+    "match_constellations",
+]
 
-YAW_STEP = 2
-"""Of yaw tried, in rays of the BOF."""
+YAW_STEP_DEG = 8
+"""Of yaws tried; what lies between is interpolated."""
 STEP_HEIGHT_M = 0.1
 MIN_AGREEMENT = 0.1
 """By the kernel, of an inlier."""
@@ -31,7 +38,7 @@ MIN_AGREEMENT = 0.1
 class MatchingParams(Params):
     """Which contours correspond, and what agrees."""
 
-    max_slices: int = Field(3, ge=0, description="slices apart: gravity and height drift")
+    max_slices: int = Field(2, ge=0, description="slices apart: gravity and height drift")
     max_size_ratio: float = Field(1.35, gt=1, description="between the largest radii")
     max_mean_difference: float = Field(0.12, gt=0, description="of radii divided by the largest")
     min_similarity: float = Field(0.9, gt=0, lt=1, description="correlation of the radii")
@@ -86,7 +93,7 @@ class PoseHypothesis:
     inliers: NDArray[np.intp]
 
 
-def match(
+def match_constellations(
     query: Constellation, other: Constellation, params: MatchingParams | None = None
 ) -> list[PoseHypothesis]:
     """Return the motions that may lie between two views, best first.
@@ -132,22 +139,24 @@ def correspond(
     b: NDArray[np.intp],
     params: MatchingParams,
 ) -> Correspondences:
-    """Return those of pairs (M,) of contours whose BOFs are similar, turned by up to some yaw."""
-    p, half = params, N_HARMONICS
-    yaws, basis = _yaws(p.max_yaw_deg)
-    qa, ob = query.codes[a], others.codes[b]
-    product = np.empty_like(qa)
-    product[:, :half] = qa[:, :half] * ob[:, :half] + qa[:, half:] * ob[:, half:]
-    product[:, half:] = qa[:, :half] * ob[:, half:] - qa[:, half:] * ob[:, :half]
-    similarity = product @ basis
-    best = similarity.argmax(axis=1)
-    rows = np.arange(len(a))
-    highest = similarity[rows, best]
-    kept = np.flatnonzero(highest > p.min_similarity)
-    a, b, best, rows, highest = a[kept], b[kept], best[kept], rows[kept], highest[kept]
+    """Return those of pairs (M,) of contours whose BOFs are similar, turned by up to some yaw.
+
+    ``a`` (M,) are contours of the query, ascending, and ``b`` (M,) of the others.
+    """
+    p = params
+    yaws = _yaws(p.max_yaw_deg)
+    turned = _turn(query.codes, yaws)
+    similarity = np.empty((len(yaws), len(a)), np.float32)
+    bounds = np.searchsorted(a, np.arange(len(query.codes) + 1))
+    for k, (start, stop) in enumerate(pairwise(bounds.tolist())):
+        similarity[:, start:stop] = turned[k] @ others.codes[b[start:stop]].T
+    kept = np.flatnonzero(similarity.max(axis=0, initial=-1.0) > p.min_similarity)
+    a, b, similarity = a[kept], b[kept], similarity[:, kept]
+    best, columns = similarity.argmax(axis=0), np.arange(len(a))
+    highest = similarity[best, columns]
     # A parabola through the three best.
     middle = np.clip(best, 1, len(yaws) - 2)
-    left, top, right = (similarity[rows, middle + k] for k in (-1, 0, 1))
+    left, top, right = (similarity[middle + k, columns] for k in (-1, 0, 1))
     bend = np.minimum(left - 2 * top + right, np.float32(-1e-6))
     beside = np.clip(0.5 * (left - right) / bend, -1.0, 1.0)
     yaw = (yaws[middle] + beside * (yaws[1] - yaws[0])).astype(np.float32)
@@ -235,9 +244,15 @@ def _kernel(pairs: Correspondences, params: MatchingParams) -> NDArray[np.float3
 
 
 @lru_cache(maxsize=4)
-def _yaws(max_yaw_deg: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the yaws (Y,) tried, and what makes correlations of products, (2 N_HARMONICS, Y)."""
-    most = int(max_yaw_deg / 360 * N_POINTS) // YAW_STEP * YAW_STEP
-    yaws = np.arange(-most, most + 1, YAW_STEP) * (2 * np.pi / N_POINTS)
-    phase = np.exp(1j * np.outer(np.arange(N_HARMONICS), yaws))
-    return yaws.astype(np.float32), np.concatenate([phase.real, -phase.imag]).astype(np.float32)
+def _yaws(max_yaw_deg: float) -> NDArray[np.float32]:
+    """Return the yaws (Y,) tried."""
+    most = int(max_yaw_deg / YAW_STEP_DEG) * YAW_STEP_DEG
+    return np.radians(np.arange(-most, most + 1, YAW_STEP_DEG)).astype(np.float32)
+
+
+def _turn(codes: NDArray[np.float32], yaws: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return codes (C, Y, 2 N_HARMONICS) of contours (C,) turned by each yaw."""
+    half = N_HARMONICS
+    turn = np.exp(-1j * np.outer(yaws, np.arange(half))).astype(np.complex64)
+    turned = (codes[:, :half] + 1j * codes[:, half:])[:, None] * turn
+    return np.concatenate([turned.real, turned.imag], axis=-1)

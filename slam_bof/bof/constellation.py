@@ -2,7 +2,7 @@
 
 The paper compares unordered bags of BOFs, each divided by its largest radius (section 2). Here
 each contour keeps, beside its BOF, where it is, how large it is and how it is turned. Two views
-of one place then agree in many contours on one motion (``matching``).
+of one place then agree in many contours on one motion (``constellation_matching``).
 """
 
 from __future__ import annotations
@@ -15,13 +15,20 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from slam_bof.constellation.levelled_slices import SliceParams, find_slice_contours
-from slam_bof.constellation.polygons import Polygons
-from slam_bof.gravity import level_frame
+from slam_bof.bof.levelled_slices import SliceParams, find_slice_contours
+from slam_bof.bof.polygons import Polygons
+from slam_bof.geometry import level_frame, view_points
 from slam_bof.types import Array, DepthFrame, Params
-from slam_bof.views import view_points
 
-__all__ = ["N_HARMONICS", "Constellation", "ConstellationParams", "PlacedBofs", "describe"]
+__all__ = [
+    "N_HARMONICS",
+    "N_POINTS",
+    "Constellation",
+    "ConstellationParams",
+    "PlacedBofs",
+    "describe_constellation",
+    "place_bofs",
+]
 
 N_POINTS = 180
 """Radii of a BOF, as in the paper."""
@@ -34,7 +41,7 @@ class ConstellationParams(Params):
 
     slices: SliceParams = SliceParams()
     min_radius_m: float = Field(0.15, gt=0, description="largest radius of a contour that is kept")
-    max_contours: int = Field(80, gt=0, description="the longest are kept")
+    max_contours: int = Field(32, gt=0, description="the longest are kept")
 
 
 class PlacedBofs(NamedTuple):
@@ -96,7 +103,7 @@ class Constellation:
         return len(self.bofs.slices)
 
 
-def describe(
+def describe_constellation(
     frame: DepthFrame, gravity_camera: ArrayLike, params: ConstellationParams | None = None
 ) -> Constellation:
     """Describe a frame by the contours of its level slices.
@@ -104,7 +111,7 @@ def describe(
     Parameters
     ----------
     frame
-        Of its depth, the pixels are used that a map keeps (``views.view_points``).
+        Of its depth, the pixels are used that a map keeps (``geometry.view_points``).
     gravity_camera
         (3,), the direction down in the camera frame.
 

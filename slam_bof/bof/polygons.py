@@ -46,7 +46,7 @@ class Polygons:
         moment = self._sum((a + b) * cross) / np.where(flat, 1.0, 3.0 * double_area)
         mean = self._sum(a) / np.maximum(counts, 1)
         self.centroids: Complex = begins[starts] + np.where(flat, mean, moment)
-        self.lengths: Array = self._sum(np.abs(ends - begins))
+        self.lengths: Array = self._sum(np.abs(ends - begins)).real
 
     def __len__(self) -> int:
         """Return the number of polygons."""

@@ -64,7 +64,7 @@ class SliceContours(NamedTuple):
 
 def slice_images(
     points_level: NDArray[np.float32], params: SliceParams
-) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+) -> tuple[NDArray[np.uint8], tuple[int, int, int]]:
     """Draw points in their slices, 1 where a pixel holds at least two of a slice's points.
 
     Parameters
@@ -74,11 +74,11 @@ def slice_images(
 
     Returns
     -------
-    images : (n_slices, H, W) uint8
-        Rows along z, columns along x: as much of the square as has points, with
-        ``params.margin_px`` empty pixels around it.
-    origin : (int, int)
-        Row and column of the square at which the image's first pixel lies.
+    images : (K, H, W) uint8
+        Rows along z, columns along x: as many slices and as much of the square as have points,
+        with ``params.margin_px`` empty pixels around these.
+    origin : (int, int, int)
+        Slice, and row and column of the square, of the first pixel.
     """
     p, side, margin = params, params.side_px, params.margin_px
     x, y, z = points_level.T
@@ -90,12 +90,14 @@ def slice_images(
     inside &= (slab >= 0) & (slab <= p.n_slices)
     column, row, slab = column[inside], row[inside], slab[inside]
     if len(slab) == 0:
-        return np.zeros((p.n_slices, 0, 0), np.uint8), (0, 0)
-    origin = int(row.min()) - margin, int(column.min()) - margin
-    shape = int(row.max()) - origin[0] + 1 + margin, int(column.max()) - origin[1] + 1 + margin
-    # A slab is half a slice. Who has two points in one, or one in each, has two in the slice.
-    cells = np.sort((slab * shape[0] + row - origin[0]) * shape[1] + column - origin[1])
-    once = np.zeros((p.n_slices + 1, *shape), np.uint8)
+        return np.zeros((0, 0, 0), np.uint8), (0, 0, 0)
+    first, last = max(int(slab.min()) - 1, 0), min(int(slab.max()), p.n_slices - 1)
+    origin = first, int(row.min()) - margin, int(column.min()) - margin
+    shape = int(row.max()) - origin[1] + 1 + margin, int(column.max()) - origin[2] + 1 + margin
+    # A slab is half a slice. Two points in one, or one in each, are two in the slice.
+    cells = ((slab - first) * shape[0] + row - origin[1]) * shape[1] + column - origin[2]
+    cells.sort()
+    once = np.zeros((last - first + 2, *shape), np.uint8)
     twice = np.zeros_like(once)
     once.reshape(-1)[cells] = 1
     twice.reshape(-1)[cells[1:][cells[1:] == cells[:-1]]] = 1
@@ -126,10 +128,10 @@ def find_slice_contours(points_level: NDArray[np.float32], params: SliceParams) 
     corners = np.concatenate([np.empty((0, 1, 2), np.int32), *found])[:, 0]
     slices = corners[np.cumsum(counts) - counts, 1] // max(height, 1)
     middle = params.side_px // 2 - 0.5
-    column = corners[:, 0] + (origin[1] - middle)
-    row = corners[:, 1] - np.repeat(slices, counts) * height + (origin[0] - middle)
+    column = corners[:, 0] + (origin[2] - middle)
+    row = corners[:, 1] - np.repeat(slices, counts) * height + (origin[1] - middle)
     corners_m = column * params.pixel_m + 1j * (row * params.pixel_m + params.ahead_m)
-    return SliceContours(corners_m, counts, slices.astype(np.intp))
+    return SliceContours(corners_m, counts, slices.astype(np.intp) + origin[0])
 
 
 def _square(side_px: int) -> NDArray[np.uint8]:
