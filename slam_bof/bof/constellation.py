@@ -32,7 +32,7 @@ __all__ = [
 
 N_POINTS = 180
 """Radii of a BOF, as in the paper."""
-N_HARMONICS = 16
+N_HARMONICS = 12
 """Of their spectrum, the mean and the harmonics below this are kept."""
 
 
@@ -41,7 +41,7 @@ class ConstellationParams(Params):
 
     slices: SliceParams = SliceParams()
     min_radius_m: float = Field(0.15, gt=0, description="largest radius of a contour that is kept")
-    max_contours: int = Field(32, gt=0, description="the longest are kept")
+    max_contours: int = Field(40, gt=0, description="the longest are kept")
 
 
 class PlacedBofs(NamedTuple):

@@ -9,9 +9,9 @@ from slam_bof.bof import (
     match_constellations,
 )
 from slam_bof.bof.constellation import place_bofs
-from slam_bof.bof.constellation_matching import find_correspondences
+from slam_bof.bof.constellation_correspondences import find_correspondences
 from slam_bof.geometry import GravityTracker, make_view, se3
-from slam_bof.testing.scenery import blind, pair_of_views
+from slam_bof.testing.scenery import blind, example_frames
 
 PARAMS = ConstellationParams()
 
@@ -23,8 +23,10 @@ def described(frame):
 
 @pytest.fixture(scope="module")
 def pair():
-    query, match, behind, T_match_query = pair_of_views()
-    return described(query), described(match), described(behind), T_match_query
+    """Two of a slow turn in a furnished room, 20 degrees apart."""
+    frames, T_first_camera = example_frames()
+    T_match_query = se3.inverse(T_first_camera[0]) @ T_first_camera[-1]
+    return described(frames[-1]), described(frames[0]), T_match_query
 
 
 def moved(points_level, yaw, x, y, z):
@@ -54,35 +56,29 @@ def test_a_motion_is_recovered_from_one_correspondence():
     assert off.all(axis=1).sum() > 20
 
 
-def test_the_pose_between_real_views_is_found(pair):
-    query, match, _, T_match_query = pair
+def test_the_pose_between_two_views_is_found(pair):
+    query, match, T_match_query = pair
     best = match_constellations(query, match)[0]
     error = se3.inverse(T_match_query) @ best.T_match_query
     assert np.linalg.norm(error[:3, 3]) < 0.15
     assert np.degrees(se3.rotation_angle(error)) < 4.0
-    assert len(np.unique(best.inliers[:, 0])) == len(best.inliers) > 5
+    assert best.inliers.shape[1] == 2
+    assert len(best.inliers) > 5
 
 
-def test_another_view_scores_less(pair):
-    query, match, behind, _ = pair
-    right, wrong = match_constellations(query, match)[0], match_constellations(query, behind)
-    assert right.score > 2 * max((h.score for h in wrong), default=0.0)
-
-
-def test_a_view_matches_itself_in_full(pair):
-    best = match_constellations(pair[0], pair[0])[0]
-    np.testing.assert_allclose(best.T_match_query, np.eye(4), atol=0.02)
-    assert 0.9 < best.score < 1.01
+def test_a_view_matches_itself_best(pair):
+    itself = match_constellations(pair[0], pair[0])[0]
+    np.testing.assert_allclose(itself.T_match_query, np.eye(4), atol=0.02)
+    assert 1.0 >= itself.score > 2 * match_constellations(pair[0], pair[1])[0].score
 
 
 def test_a_scene_that_repeats_itself_has_several_motions():
-    one = scene(3)[: 4 * 6000]
+    one = moved(scene(3)[: 4 * 6000], 0, 0, 0, -0.4)
     row = np.concatenate([one, moved(one, 0, 0, 0, 1.5)])
-    query, other = place_bofs(row, PARAMS), place_bofs(moved(row, 0, 0, 0, 0.4), PARAMS)
+    query, other = place_bofs(one, PARAMS), place_bofs(row, PARAMS)
     found = match_constellations(Constellation(query, np.eye(3)), Constellation(other, np.eye(3)))
-    z = [h.T_match_query[2, 3] for h in found]
-    assert z[0] == pytest.approx(0.4, abs=0.05)
-    assert any(abs(abs(other - 0.4) - 1.5) < 0.1 for other in z[1:])
+    z = sorted(h.T_match_query[2, 3] for h in found[:2])
+    np.testing.assert_allclose(z, [0.0, 1.5], atol=0.06)
 
 
 def test_radii_are_kept_as_far_as_harmonics_tell():
@@ -102,6 +98,6 @@ def test_the_longest_contours_are_kept():
 
 @pytest.mark.parametrize("which", [0, 1])
 def test_without_depth_there_is_nothing(which, pair):
-    empty = described(blind(pair_of_views()[0])[which])
+    empty = described(blind(example_frames(1)[0][0])[which])
     assert len(empty) == 0
     assert match_constellations(empty, pair[0]) == match_constellations(pair[0], empty) == []
