@@ -29,7 +29,7 @@ __all__ = [
     "Pose",
     "Scene",
     "Step",
-    "ThinDepth",
+    "SubsampledDepth",
     "Trajectory",
     "Verification",
 ]
@@ -262,8 +262,8 @@ class FramePose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThinDepth:
-    """What the map keeps of a depth image: every few pixels, as ``views.thin`` chooses them.
+class SubsampledDepth:
+    """The pixels of a depth image that the map keeps, chosen by ``geometry.subsample``.
 
     ``depth`` is (h, w) uint16 in steps of which ``per_m`` make a metre, 0 where missing;
     ``intrinsics`` are those of the whole image.
@@ -285,7 +285,7 @@ class KeyframeRecord:
     """
 
     keyframe: Keyframe
-    thin: ThinDepth
+    depth: SubsampledDepth
     frames: tuple[FramePose, ...]
     candidates: tuple[Candidate, ...]
     measured: tuple[Loop, ...]

@@ -17,7 +17,7 @@ from slam_bof.types import (
     KeyframeRecord,
     Loop,
     Scene,
-    ThinDepth,
+    SubsampledDepth,
 )
 
 CLASSES = ("kitchen", "office")
@@ -55,9 +55,9 @@ def make_candidate(query_id: int, match_id: int, **fields: object) -> Candidate:
     return Candidate(query_id, match_id, "bag", **(known | fields))
 
 
-def make_thin(id_: int = 0) -> ThinDepth:
+def make_thin(id_: int = 0) -> SubsampledDepth:
     depth = np.random.default_rng(id_).integers(500, 4000, (48, 64)).astype(np.uint16)
-    return ThinDepth(depth, 1000, CAMERA)
+    return SubsampledDepth(depth, 1000, CAMERA)
 
 
 def make_record(

@@ -83,17 +83,17 @@ def weigh_loops(
         return weights, _values(settled)
     steady = gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma)
     graph = _chain(settled, segments, steady)
-    n_known = graph.size()
+    n_visible = graph.size()
     noise = gtsam.noiseModel.Isotropic.Sigma(6, params.loop_sigma)
     for edge, is_far in zip(edges, far, strict=True):
         if is_far:
             graph.add(gtsam.BetweenFactorPose3(*edge, noise))
     gnc = gtsam.GncLMParams()
-    gnc.setKnownInliers(list(range(n_known)))
+    gnc.setKnownInliers(list(range(n_visible)))
     optimizer = gtsam.GncLMOptimizer(graph, _values(settled), gnc)
     optimizer.setInlierCostThresholdsAtProbability(params.inlier_probability)
     values = optimizer.optimize()
-    weights[far] = np.asarray(optimizer.getWeights())[n_known:]
+    weights[far] = np.asarray(optimizer.getWeights())[n_visible:]
     return weights, values
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from slam_bof.core import import_open3d
-from slam_bof.geometry import JudgementParams, judge, reject, se3
+from slam_bof.geometry import RegistrationQualityParams, assess_registration, reject, se3
 from slam_bof.types import Array, DepthFrame, Pose, Verification
 
 o3d = import_open3d()
@@ -27,7 +27,7 @@ class PreparedCloud:
     features: Any = None
 
 
-class Open3dParams(JudgementParams):
+class Open3dParams(RegistrationQualityParams):
     """Distances are for indoor depth cameras, whose noise is centimetres at metres."""
 
     voxel_size_m: float = Field(0.06, gt=0)
@@ -102,7 +102,7 @@ class Open3dVerifier:
             for of_match in (match.cloud.points, match.cloud.normals)
         )
         offset = se3.transform(T_match_query, points) - surface
-        return judge(
+        return assess_registration(
             p,
             T_match_query,
             points,

@@ -12,19 +12,27 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from slam_bof.geometry import AlignmentParams, JudgementParams, ViewAligner, judge, make_view
+from slam_bof.geometry import (
+    AlignmentParams,
+    RegistrationQualityParams,
+    ViewAligner,
+    assess_registration,
+    make_view,
+)
 from slam_bof.types import Array, DepthFrame, Verification
 
 __all__ = ["ProjectiveParams", "ProjectiveVerifier"]
 
 
-class ProjectiveParams(JudgementParams):
+class ProjectiveParams(RegistrationQualityParams):
     """What two views of the same surfaces must have in common."""
 
     alignment: AlignmentParams = AlignmentParams(
-        n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_last_iterations=4
+        n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_final_iterations=4
     )
-    max_blocking: float = Field(0.15, ge=0, le=1, description="before what the other sees")
+    max_free_space_violation: float = Field(
+        0.15, ge=0, le=1, description="before what the other sees"
+    )
 
 
 class ProjectiveVerifier:
@@ -69,21 +77,21 @@ class ProjectiveVerifier:
             T = self._aligner.align(query, ids, np.tile(np.eye(4), (len(ids), 1, 1, 1)))
         else:
             T = self._aligner.refine(query, ids, T_match_query)
-        overlap, blocking = self._aligner.seen(query, ids, T)
+        overlap, free_space_violation = self._aligner.inlier_ratio(query, ids, T)
         pairs = self._aligner.surface_pairs(query, ids, T)
         return [
-            judge(
+            assess_registration(
                 self.params,
                 T[k],
                 *pairs[k],
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
-                objection=self._object(float(blocking[k])),
+                reason_against=self._reason_against(float(free_space_violation[k])),
             )
             for k in range(len(ids))
         ]
 
-    def _object(self, blocking: float) -> str:
-        if blocking <= self.params.max_blocking:
+    def _reason_against(self, free_space_violation: float) -> str:
+        if free_space_violation <= self.params.max_free_space_violation:
             return ""
-        return f"{blocking:.2f} of the points stand before what the other sees"
+        return f"{free_space_violation:.2f} of the points stand before what the other sees"

@@ -10,7 +10,7 @@ from slam_bof.bof.contours import ContourParams, find_contours
 from slam_bof.bof.descriptor import BofParams, describe
 from slam_bof.bof.layers import LayerParams, layer_images
 from slam_bof.bof.vocabulary import TfIdf, Vocabulary
-from slam_bof.core import scratch_image
+from slam_bof.core import thread_buffer
 from slam_bof.geometry import PointParams, points_camera_f32
 from slam_bof.types import Array, Bag, Contours, DepthFrame, Params
 
@@ -63,7 +63,7 @@ def _contours(frame: DepthFrame, params: PlaceParams, gravity_camera: Array | No
         params.layers,
         gravity_camera=gravity_camera,
         margin_px=margin_px,
-        out=scratch_image("layers", (params.layers.n_images, side, side)),
+        out=thread_buffer("layers", (params.layers.n_images, side, side)),
     )
     return find_contours(images, params.contours, margin_px=margin_px)
 

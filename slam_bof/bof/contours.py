@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from slam_bof.core import scratch_image
+from slam_bof.core import thread_buffer
 from slam_bof.types import Contours, Params
 
 __all__ = ["ContourParams", "find_contours"]
@@ -68,7 +68,7 @@ def find_contours(
     # All layers in one tall sheet: their margins keep them apart, and one call serves all.
     sheet = images.reshape(n_layers * height, width)
     kernel = np.ones((params.closing_px, params.closing_px), np.uint8)
-    closed = scratch_image("closed", sheet.shape)
+    closed = thread_buffer("closed", sheet.shape)
     cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel, dst=closed)
     # Corners make the same polygon as all its pixels do, with a quarter of the points.
     found, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)

@@ -25,7 +25,7 @@ def info(map_: MAP, as_json: JSON = False) -> None:
     from dataclasses import asdict
 
     from slam_bof.cli.console import print_json, print_table
-    from slam_bof.store import MapStore, parts_of
+    from slam_bof.store import MapStore, components_of
 
     path = map_file(map_)
     with MapStore.open(path) as store:
@@ -49,7 +49,7 @@ def info(map_: MAP, as_json: JSON = False) -> None:
             "n_keyframes": len(keyframes),
             "n_loops": sum(loop.kind == "loop" for loop in loops),
             "n_covisibility_edges": sum(loop.kind != "loop" for loop in loops),
-            "n_parts": len(set(parts_of(store).tolist())),
+            "n_components": len(set(components_of(store).tolist())),
             "n_rooms": len(regions),
             "bytes": size,
             "bytes_per_keyframe": round(size / max(len(keyframes), 1)),
@@ -174,8 +174,8 @@ def merge(
         return
     typer.echo(
         f"{out}: {found.n_sessions} sessions, {found.n_keyframes} keyframes, "
-        f"{found.n_loops_across} loops across, {found.n_parts} "
-        f"part{'s' if found.n_parts > 1 else ''}"
+        f"{found.n_loops_across} loops across, {found.n_components} "
+        f"component{'s' if found.n_components > 1 else ''}"
     )
 
 

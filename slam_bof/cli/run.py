@@ -22,7 +22,7 @@ SUMMARY = (
     ("ATE of odometry", "ate_odometry_m", "m"),
     ("ATE after loops", "ate_m", "m"),
     ("Times that odometry was lost", "n_odometry_lost", ""),
-    ("Parts of the map", "n_parts", ""),
+    ("Map components", "n_components", ""),
     ("Loops accepted", "n_loops", ""),
     ("Loops that are right", "loop_precision", "share"),
     ("Scene labels that are right", "scene_accuracy", "share"),
@@ -173,7 +173,7 @@ def _resume(
         sessions = store.sessions()
     if not sessions:
         raise MapError(f"{place}: found no session in it, expected an interrupted run")
-    config = configs.parse(sessions[-1].config, str(place))
+    config = configs.parse_saved(sessions[-1].config, str(place))
     dataset, remarks = open_sequence(sequence, config, frames, quiet=quiet)
     with FrameBar(dataset.sequence, quiet=quiet) as observer:
         return resume_sequence(

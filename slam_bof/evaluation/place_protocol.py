@@ -100,5 +100,5 @@ def _seen(
     measured = depth_b_m[row[inside].astype(int), column[inside].astype(int)]
     expected = z[inside]
     off = np.abs(measured - expected)
-    seen = (measured > 0) & (off < params.tolerance_m + params.tolerance_share * expected)
-    return float(seen.sum() / len(points_a)) if len(points_a) else 0.0
+    inlier_ratio = (measured > 0) & (off < params.tolerance_m + params.tolerance_share * expected)
+    return float(inlier_ratio.sum() / len(points_a)) if len(points_a) else 0.0

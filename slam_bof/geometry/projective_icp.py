@@ -18,9 +18,9 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from slam_bof.geometry import se3
-from slam_bof.geometry.depth_view import View
+from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
-from slam_bof.geometry.visibility import Agreement, Coverage, agreement, coverage, tell
+from slam_bof.geometry.visibility import Agreement, Coverage, agreement, classify_points, coverage
 from slam_bof.types import Array, Params
 
 __all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
@@ -47,8 +47,8 @@ class AlignmentParams(Params):
     n_fine_iterations: int = Field(8, ge=0, description="of which the last look at all points")
     n_coarse_points: int = Field(1000, gt=0, description="that the others look at")
     gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
-    rest: float = Field(1e-3, ge=0, description="rad and m; who moves less waits for ...")
-    n_last_iterations: int = Field(2, ge=0, description="... so many iterations at the end")
+    min_step: float = Field(1e-3, ge=0, description="rad and m; who moves less waits for ...")
+    n_final_iterations: int = Field(2, ge=0, description="... so many iterations at the end")
     tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
 
 
@@ -84,7 +84,7 @@ class ViewAligner:
         self._views = ViewStack(params.n_points, seed=seed)
         self._motions = _random_motions(params, seed)
 
-    def add(self, view: View) -> None:
+    def add(self, view: DepthView) -> None:
         """Hold another view; ids count from 0.
 
         Raises
@@ -130,7 +130,7 @@ class ViewAligner:
         for k, gate_m in enumerate(np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32)):
             fine = k >= p.n_iterations - p.n_fine_iterations
             n_points = p.n_points if fine else min(p.n_points, p.n_coarse_points)
-            if k >= p.n_iterations - p.n_last_iterations:
+            if k >= p.n_iterations - p.n_final_iterations:
                 moving[:] = True
             left = np.flatnonzero(moving)
             for some in _chunks(len(left), n_points):
@@ -138,7 +138,7 @@ class ViewAligner:
                 found = self._associate(query, matches[pairs], T[pairs], gate_m, n_points)
                 steps = _step(found, gate_m)
                 T[pairs] = _exp(steps) @ T[pairs]
-                moving[pairs] = np.abs(steps).max(axis=1) > p.rest
+                moving[pairs] = np.abs(steps).max(axis=1) > p.min_step
         return T.astype(np.float64)
 
     def surface_pairs(
@@ -159,12 +159,14 @@ class ViewAligner:
             pairs.append(SurfacePairs(points[matched], normals, residuals_m))
         return pairs
 
-    def seen(self, query: int, matches: Indices, T_match_query: Array) -> tuple[Floats, Floats]:
+    def inlier_ratio(
+        self, query: int, matches: Indices, T_match_query: Array
+    ) -> tuple[Floats, Floats]:
         """Return the shares (n,) of the query's points that each match sees, and that block it."""
         points = self._views.sampled(query)
         T = T_match_query.astype(np.float32)
-        told = tell(self._views, points, matches, T, self.params.tolerance)
-        return told.seen.mean(axis=1), told.blocking.mean(axis=1)
+        visibility = classify_points(self._views, points, matches, T, self.params.tolerance)
+        return visibility.inlier.mean(axis=1), visibility.violating.mean(axis=1)
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
@@ -191,19 +193,19 @@ class ViewAligner:
     def _score(self, points: Floats, matches: Indices, poses: Floats, tolerance: Floats) -> Floats:
         """Score poses (n, P, 4, 4): points at the depth that is there count, blocking ones cost."""
         n, n_poses = poses.shape[:2]
-        fallen = self._views.fall(points, poses.reshape(-1, 4, 4))
-        there, _ = self._views.look(np.repeat(matches, n_poses), fallen)
+        projected = self._views.project_points(points, poses.reshape(-1, 4, 4))
+        there, _ = self._views.depth_at(np.repeat(matches, n_poses), projected)
         known = there > 0
-        off = fallen.depth_m
+        off = projected.depth_m
         off -= there
         there *= tolerance[1]
         there += tolerance[0]
         off /= there
-        blocking = off < -1.0
+        free_space_violation = off < -1.0
         worth = np.abs(off, out=off)
         np.subtract(np.float32(1.0), worth, out=worth)
         np.maximum(worth, np.float32(0.0), out=worth)
-        worth -= np.float32(0.5) * blocking
+        worth -= np.float32(0.5) * free_space_violation
         worth *= known
         return np.asarray(worth.mean(axis=1).reshape(n, n_poses))
 
@@ -212,15 +214,15 @@ class ViewAligner:
     ) -> _Association:
         """Pair the query's surface points with what the others see at the pixels they fall on."""
         points, facing = self._views.surface(query, n_points)
-        fallen = self._views.fall(points, T)
-        gap, normals = self._views.surface_there(matches, fallen)
+        projected = self._views.project_points(points, T)
+        gap, normals = self._views.surface_at(matches, projected)
         moved = _rotate(T, points)
         moved += T[:, :3, 3:]
         gap -= moved
         residuals_m = _dot(gap, normals)
         # Where nothing is known the normal is zero, and so is the cosine.
         matched = _dot(normals, _rotate(T, facing)) > MIN_COSINE
-        matched &= fallen.inside
+        matched &= projected.inside
         matched &= _dot(gap, gap) < 4.0 * gate_m**2
         matched &= np.abs(residuals_m) < gate_m
         return _Association(moved, normals, residuals_m, matched)

@@ -7,10 +7,10 @@ from pydantic import Field
 
 from slam_bof.types import Array, Params, Pose, Verification
 
-__all__ = ["JudgementParams", "judge", "reject"]
+__all__ = ["RegistrationQualityParams", "assess_registration", "reject"]
 
 
-class JudgementParams(Params):
+class RegistrationQualityParams(Params):
     """What two views of the same surfaces must have in common."""
 
     min_overlap: float = Field(0.35, ge=0, le=1)
@@ -21,8 +21,8 @@ class JudgementParams(Params):
     )
 
 
-def judge(
-    params: JudgementParams,
+def assess_registration(
+    params: RegistrationQualityParams,
     T_match_query: Pose,
     points_query: Array,
     normals_query: Array,
@@ -30,7 +30,7 @@ def judge(
     *,
     overlap: float,
     guessed: bool,
-    objection: str = "",
+    reason_against: str = "",
 ) -> Verification:
     """Judge an alignment by the points that it brings onto the match's surfaces.
 
@@ -62,8 +62,8 @@ def judge(
     reason = ""
     if overlap < min_overlap:
         reason = f"overlap {overlap:.2f} below {min_overlap:g}"
-    elif objection:
-        reason = objection
+    elif reason_against:
+        reason = reason_against
     elif rmse_m > params.max_rmse_m:
         reason = f"residual {rmse_m:.3f} m above {params.max_rmse_m:g} m"
     elif stiffness < params.min_stiffness:

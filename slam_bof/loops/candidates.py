@@ -40,7 +40,7 @@ class Ranking(Protocol):
     def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
         """Take a keyframe without asking."""
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Find others rather than the one ranked last."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
@@ -85,7 +85,7 @@ class BagRanking:
         self._index.add(keyframe.bag)
         self._stamps_s.append(keyframe.stamp_s)
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Do nothing: the paper's index holds all."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
@@ -128,8 +128,10 @@ class ViewRanking:
         for best in _maxima(scores, p):
             match = matches[best]
             candidate = Candidate(keyframe.id, best, "view", score=match.score)
-            if match.seen < p.min_seen:
-                reason = f"both see {match.seen:.2f} of the other, below {p.min_seen:g}"
+            if match.inlier_ratio < p.min_inlier_ratio:
+                reason = (
+                    f"both see {match.inlier_ratio:.2f} of the other, below {p.min_inlier_ratio:g}"
+                )
                 candidate = replace(candidate, decision="rejected", reason=reason)
             candidates.append(candidate)
         return Found(
@@ -140,9 +142,9 @@ class ViewRanking:
         """Hold the keyframe's view."""
         self._recogniser.add(frame, keyframe.T_odom_camera)
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Leave the view ranked last out of later searches."""
-        self._recogniser.set_aside()
+        self._recogniser.deactivate()
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Expect another direction of gravity; matches so far lead nowhere."""

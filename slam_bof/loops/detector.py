@@ -133,7 +133,7 @@ class LoopDetector:
         self.counts = LoopCounts(**state["counts"])
         self._ranking.restore(state["ranking"])
 
-    def note(self, loops: Sequence[Loop]) -> None:
+    def on_loops_accepted(self, loops: Sequence[Loop]) -> None:
         """Note accepted loops: where an older keyframe stands, the last is not searched for.
 
         By bags all are found, as the paper has it.
@@ -142,11 +142,11 @@ class LoopDetector:
         if any(
             loop.query_id == newest
             and loop.kind == "loop"
-            and np.linalg.norm(loop.T_match_query[:3, 3]) <= p.repeat_m
-            and se3.rotation_angle(loop.T_match_query) <= p.repeat_rad
+            and np.linalg.norm(loop.T_match_query[:3, 3]) <= p.revisit_distance_m
+            and se3.rotation_angle(loop.T_match_query) <= p.revisit_angle_rad
             for loop in loops
         ):
-            self._ranking.set_aside()
+            self._ranking.deactivate()
 
     def _check(self, keyframe: Keyframe, candidate: Candidate) -> Candidate:
         """Measure semantic agreement and time consistency, and reject what fails."""

@@ -35,7 +35,7 @@ class _Held:
     """A loop and the keyframes whose loops agree with it."""
 
     loop: Loop
-    witnesses: set[int] = field(default_factory=set)
+    supporters: set[int] = field(default_factory=set)
 
 
 class ConsistencyGate:
@@ -61,16 +61,16 @@ class ConsistencyGate:
         for one in new:
             agreed = agree(one.loop, recent, T_map_camera, p.max_distance_m, p.max_angle_rad)
             for other in itertools.compress(self._recent, agreed):
-                admitted += self._testify(other, one.loop.query_id)
-                admitted += self._testify(one, other.loop.query_id)
+                admitted += self._add_supporter(other, one.loop.query_id)
+                admitted += self._add_supporter(one, other.loop.query_id)
         self._recent += new
         return admitted
 
-    def _testify(self, held: _Held, witness_id: int) -> list[Loop]:
+    def _add_supporter(self, held: _Held, supporter_id: int) -> list[Loop]:
         """Note a witness; return the loop if that makes it enough."""
-        before = len(held.witnesses)
-        held.witnesses.add(witness_id)
-        return [held.loop] if before < self.params.n_required <= len(held.witnesses) else []
+        before = len(held.supporters)
+        held.supporters.add(supporter_id)
+        return [held.loop] if before < self.params.n_required <= len(held.supporters) else []
 
 
 def agree(

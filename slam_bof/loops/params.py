@@ -22,10 +22,14 @@ class LoopParams(Params):
     lower_threshold: float = Field(0.4, ge=0, description="bags: eta below it: discarded")
     normaliser_lag_s: float = Field(1.0, gt=0, description="bags: N, or tau, as a time")
     min_normaliser: float = Field(0.05, ge=0, description="bags: below it not judged")
-    min_seen: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
+    min_inlier_ratio: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
     recogniser: RecogniserParams = RecogniserParams()
-    repeat_m: float = Field(0.2, ge=0, description="views: who has a loop to nearer than this")
-    repeat_rad: float = Field(0.2, ge=0, description="and turned by less is not searched for")
+    revisit_distance_m: float = Field(
+        0.2, ge=0, description="views: who has a loop to nearer than this"
+    )
+    revisit_angle_rad: float = Field(
+        0.2, ge=0, description="and turned by less is not searched for"
+    )
     tc: int = Field(3, ge=0, description="keyframes that the time consistency check runs over")
     tc_required: int = Field(1, ge=0, description="of which so many must agree")
     max_index_difference: int = Field(3, ge=0, description="keyframes apart that still agree")

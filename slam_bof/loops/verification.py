@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.geometry import se3
-from slam_bof.loops.component_joining import JoinGate, JoinParams
+from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoiningParams
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.places import Compare
 from slam_bof.ports import Verifier
@@ -32,12 +32,14 @@ class VerificationParams(Params):
     min_overlap: float = Field(0.6, ge=0, le=1, description="of a loop's two clouds")
     max_view_distance_m: float = Field(1.0, gt=0, description="between views with like bags")
     max_view_angle_rad: float = Field(0.7, gt=0, description="between views with like bags")
-    slack_m: float = Field(0.5, ge=0, description="a loop may move the map by this, plus drift")
-    slack_rad: float = Field(0.3, ge=0, description="and turn it by this, plus drift")
+    max_correction_m: float = Field(
+        0.5, ge=0, description="a loop may move the map by this, plus drift"
+    )
+    max_correction_rad: float = Field(0.3, ge=0, description="and turn it by this, plus drift")
     drift_m_per_m: float = Field(0.05, ge=0, description="drift that odometry may have")
     drift_rad_per_m: float = Field(0.02, ge=0, description="and its turn")
     consistency: ConsistencyParams = ConsistencyParams()
-    joining: JoinParams = JoinParams()
+    component_joining: ComponentJoiningParams = ComponentJoiningParams()
 
 
 class Verified(NamedTuple):
@@ -65,7 +67,7 @@ class LoopVerification:
         self.params = params
         self._verifier = verifier
         self._gate = ConsistencyGate(params.consistency)
-        self._join_gate = JoinGate(params.joining, compare)
+        self._join_gate = ComponentJoiningGate(params.component_joining, compare)
         self._seed = seed
         self._prepared: list[Any] = []
 
@@ -78,7 +80,7 @@ class LoopVerification:
         candidates: Sequence[Candidate],
         T_map_camera: Array,
         *,
-        parts: NDArray[np.integer[Any]] | None = None,
+        components: NDArray[np.integer[Any]] | None = None,
         guesses: Mapping[int, Pose] = MappingProxyType({}),
     ) -> Verified:
         """Judge the candidates of the newest keyframe that are still open.
@@ -86,13 +88,13 @@ class LoopVerification:
         Those accepted already are aligned for their pose; the verdict does not veto them, but
         where so few points meet that the pose stays open there is no edge.
 
-        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far, and ``parts`` (K,)
-        which part of it they are in, as ``parts.MapParts`` has it (without: all in one); those of
-        different parts say nothing of each other. ``guesses`` are ``T_match_query`` that
-        recognition has already, by ``match_id``.
+        ``T_map_camera`` (K, 4, 4) are the poses of all keyframes in the map so far, and
+        ``components`` (K,) the component of each (by default all are in one); poses of different
+        components cannot be compared. ``guesses`` are the poses ``T_match_query`` that
+        recognition has already found, by ``match_id``.
         """
-        if parts is None:
-            parts = np.zeros(len(T_map_camera), dtype=np.int64)
+        if components is None:
+            components = np.zeros(len(T_map_camera), dtype=np.int64)
         judged: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
@@ -109,7 +111,9 @@ class LoopVerification:
             if candidate.decision == "accepted":
                 decision, reason = _take(candidate, verified)
             else:
-                reason = verified.reason or self._object(candidate, verified, T_map_camera, parts)
+                reason = verified.reason or self._reason_against(
+                    candidate, verified, T_map_camera, components
+                )
                 decision = "rejected" if reason else "accepted"
             if decision == "accepted":
                 loop = Loop(
@@ -130,17 +134,17 @@ class LoopVerification:
                     reason=reason,
                 )
             )
-        admitted = self.admit(loops, T_map_camera, parts)
-        return Verified(_hold(judged, admitted, parts), edges + loops, edges + admitted)
+        admitted = self.admit(loops, T_map_camera, components)
+        return Verified(_hold(judged, admitted, components), edges + loops, edges + admitted)
 
     def admit(
-        self, loops: Sequence[Loop], T_map_camera: Array, parts: NDArray[np.integer[Any]]
+        self, loops: Sequence[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
     ) -> list[Loop]:
         """Take the newest keyframe's verified loops; return those that others agree with now."""
-        within = [loop for loop in loops if parts[loop.query_id] == parts[loop.match_id]]
-        between = [loop for loop in loops if parts[loop.query_id] != parts[loop.match_id]]
+        within = [loop for loop in loops if components[loop.query_id] == components[loop.match_id]]
+        between = [loop for loop in loops if components[loop.query_id] != components[loop.match_id]]
         admitted = self._gate.admit(within, T_map_camera)
-        return admitted + self._join_gate.admit(between, T_map_camera, parts)
+        return admitted + self._join_gate.admit(between, T_map_camera, components)
 
     def _align(
         self, candidates: Sequence[Candidate], T_map_camera: Array, guesses: Mapping[int, Pose]
@@ -169,12 +173,12 @@ class LoopVerification:
             verified[k] = verification
         return verified
 
-    def _object(
+    def _reason_against(
         self,
         candidate: Candidate,
         verified: Verification,
         T_map_camera: Array,
-        parts: NDArray[np.integer[Any]],
+        components: NDArray[np.integer[Any]],
     ) -> str:
         """Return why a well-aligned pair is no loop all the same, or nothing."""
         p = self.params
@@ -187,19 +191,19 @@ class LoopVerification:
             distance_m > p.max_view_distance_m or angle_rad > p.max_view_angle_rad
         ):
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
-        if parts[candidate.match_id] != parts[candidate.query_id]:
+        if components[candidate.match_id] != components[candidate.query_id]:
             return ""
         way = slice(candidate.match_id, candidate.query_id + 1)
         between = T_map_camera[way]
         steps_m = np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1)
-        # How far parts of the map are from each other says nothing of how far the camera went.
-        path_m = float(steps_m[np.diff(parts[way]) == 0].sum())
+        # How far components are from each other says nothing of how far the camera went.
+        path_m = float(steps_m[np.diff(components[way]) == 0].sum())
         moved_m, turned_rad = _size(
             se3.inverse(verified.T_match_query) @ se3.inverse(between[0]) @ between[-1]
         )
         if (
-            moved_m > p.slack_m + p.drift_m_per_m * path_m
-            or turned_rad > p.slack_rad + p.drift_rad_per_m * path_m
+            moved_m > p.max_correction_m + p.drift_m_per_m * path_m
+            or turned_rad > p.max_correction_rad + p.drift_rad_per_m * path_m
         ):
             return (
                 f"would move the map by {moved_m:.2f} m and {turned_rad:.2f} rad, "
@@ -213,8 +217,8 @@ def _take(candidate: Candidate, verified: Verification) -> tuple[str, str]:
     information = verified.information
     if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
         return "rejected", f"{candidate.reason}; no relative pose: {verified.reason}"
-    objection = f"; geometry objects: {verified.reason}" if verified.reason else ""
-    return "accepted", candidate.reason + objection
+    reason_against = f"; geometry objects: {verified.reason}" if verified.reason else ""
+    return "accepted", candidate.reason + reason_against
 
 
 def _size(T: Pose) -> tuple[float, float]:
@@ -223,7 +227,7 @@ def _size(T: Pose) -> tuple[float, float]:
 
 
 def _hold(
-    judged: list[Candidate], admitted: list[Loop], parts: NDArray[np.integer[Any]]
+    judged: list[Candidate], admitted: list[Loop], components: NDArray[np.integer[Any]]
 ) -> list[Candidate]:
     """Mark the loops that were verified but not admitted yet."""
     pairs = {(loop.query_id, loop.match_id) for loop in admitted}
@@ -233,8 +237,8 @@ def _hold(
         if candidate.decision != "accepted" or candidate.kind != "loop" or pair in pairs:
             return candidate
         reason = "no loop of another keyframe agrees with it"
-        if parts[candidate.query_id] != parts[candidate.match_id]:
-            reason = "not enough yet to join two parts of the map"
+        if components[candidate.query_id] != components[candidate.match_id]:
+            reason = "not enough yet to join two components"
         return replace(candidate, decision="held", reason=reason)
 
     return [hold(candidate) for candidate in judged]

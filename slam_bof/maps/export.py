@@ -14,7 +14,7 @@ from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps.g2o import write_g2o
 from slam_bof.maps.occupancy_grid import OccupancyParams, make_grid, write_grid
 from slam_bof.maps.point_cloud import write_views
-from slam_bof.slam import History, config as configs
+from slam_bof.slam import FrameHistory, config as configs
 from slam_bof.store import MapStore, query_keyframes
 from slam_bof.types import DepthFrame, Trajectory
 
@@ -68,7 +68,7 @@ def export_map(
     if not np.isfinite(poses).all():
         raise _interrupted(store)
     if format_ == "g2o":
-        options = configs.parse(store.sessions()[-1].config, str(store.path)).backend.options
+        options = configs.parse_saved(store.sessions()[-1].config, str(store.path)).backend.options
         sigmas = {
             name: float(options.get(name, 0.05))
             for name in ("odometry_sigma_rad", "odometry_sigma_m")
@@ -86,7 +86,7 @@ def session_trajectory(store: MapStore, session: int) -> Trajectory:
     """Return T_map_camera of every frame of a session, as the map has them now."""
     own = [k for k in store.keyframes() if k.session == session]
     poses = store.map_poses()[[k.id for k in own]]
-    return History(store.frames(session)).trajectory(own, poses)
+    return FrameHistory(store.frames(session)).trajectory(own, poses)
 
 
 def _write_poses(

@@ -13,7 +13,7 @@ from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import config as configs
-from slam_bof.store import MapStore, parts_of
+from slam_bof.store import MapStore, components_of
 from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene
 
 __all__ = ["Located", "MapLocalizer"]
@@ -36,7 +36,7 @@ class Located:
 class MapLocalizer:
     """A map's keyframes, and the model that labelled them.
 
-    Of a map in several parts, which no loop has joined, the largest is asked.
+    Of a map in several components, which no loop has joined, the largest is asked.
 
     Examples
     --------
@@ -84,12 +84,12 @@ class MapLocalizer:
                     f"{path}: found that the run of {sessions[-1].sequence} was interrupted, "
                     "expected a finished one: resume it first"
                 )
-            config = configs.parse(sessions[-1].config, f"{path}: session {sessions[-1].id}")
+            config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
             model = (
                 models.load_default() if config.model == "default" else models.load(config.model)
             )
-            parts = parts_of(store)
-            largest = np.flatnonzero(parts == np.bincount(parts).argmax())
+            components = components_of(store)
+            largest = np.flatnonzero(components == np.bincount(components).argmax())
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from slam_bof.core import StageClock
 from slam_bof.errors import MapError
-from slam_bof.geometry import thicken
+from slam_bof.geometry import restore_frame
 from slam_bof.scenes import label_map
 from slam_bof.slam import KeyframeMap, config as configs
 from slam_bof.store import MapStore, SessionResult, read_records
@@ -21,20 +21,20 @@ LEFT_OUT = "contradicts the other loops, weighed all together when maps were mer
 
 
 class Merged(NamedTuple):
-    """What maps were merged to; one part if all were recognised in each other."""
+    """What maps were merged to; one component if all were recognised in each other."""
 
     n_sessions: int
     n_keyframes: int
     n_loops_across: int
     """Loops from one map to another."""
-    n_parts: int
+    n_components: int
 
 
 def merge_maps(paths: Sequence[Path], out: Path) -> Merged:
     """Join maps to the first of them, as sessions of one graph, in a new file.
 
     Their keyframes are looked for in those before as a run's are, by the first map's
-    configuration; where nothing is recognised, a map stays a part of its own.
+    configuration; where nothing is recognised, a map stays a component of its own.
 
     Raises
     ------
@@ -60,12 +60,12 @@ def _join(target: MapStore, paths: Sequence[Path]) -> Merged:
     """Take the other maps' keyframes as sessions of the first, and finish them."""
     sessions = target.sessions()
     _check_finished(target, paths[0])
-    config = configs.parse(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
+    config = configs.parse_saved(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
     keyframes = KeyframeMap.from_config(config, StageClock())
     for record in read_records(target):
         while keyframes.session < record.keyframe.session:
             keyframes.begin_session()
-        keyframes.take_back(record)
+        keyframes.replay(record)
     starts: list[int] = []
     tails: dict[int, list[FramePose]] = {}
     for path in paths[1:]:
@@ -81,7 +81,11 @@ def _join(target: MapStore, paths: Sequence[Path]) -> Merged:
     keyframes.graph.optimize()
     T_map_camera, graph = keyframes.graph.poses(), keyframes.graph
     labels = label_map(
-        keyframes.keyframes, T_map_camera, config.labels, config.regions, parts=keyframes.parts
+        keyframes.keyframes,
+        T_map_camera,
+        config.labels,
+        config.regions,
+        components=keyframes.components,
     )
     for id_, frames in tails.items():
         result = SessionResult(frames, T_map_camera, *labels, graph.left_out, LEFT_OUT)
@@ -89,7 +93,7 @@ def _join(target: MapStore, paths: Sequence[Path]) -> Merged:
     across = sum(
         any(loop.match_id < start <= loop.query_id for start in starts) for loop in graph.loops
     )
-    return Merged(keyframes.session + 1, len(keyframes), across, len(graph.parts))
+    return Merged(keyframes.session + 1, len(keyframes), across, len(graph.components))
 
 
 def _take(
@@ -108,7 +112,7 @@ def _take(
         keyframe = replace(
             old, id=len(keyframes), session=keyframes.session, segment=old.segment + later
         )
-        verified = keyframes.add_described(keyframe, thicken(record.thin, keyframe.stamp_s))
+        verified = keyframes.add_described(keyframe, restore_frame(record.depth, keyframe.stamp_s))
         own = tuple(frames[start : keyframe.frame_index + 1])
         start = keyframe.frame_index + 1
         outcome = (
@@ -116,7 +120,7 @@ def _take(
             tuple(verified.measured),
             tuple(verified.admitted),
         )
-        target.write(KeyframeRecord(keyframe, record.thin, own, *outcome, {}))
+        target.write(KeyframeRecord(keyframe, record.depth, own, *outcome, {}))
     return frames[start:]
 
 

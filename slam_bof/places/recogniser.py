@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from slam_bof.core import Stack, one_blas_thread
+from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import (
     Agreement,
     AlignmentParams,
@@ -51,7 +51,9 @@ class RecogniserParams(Params):
     n_followed: int = Field(5, ge=0, description="matches of the view before that are followed")
     n_neighbours: int = Field(2, ge=0, description="views before and after such a match")
     plan_weight: float = Field(0.5, ge=0, description="of plans, the panorama's being 1")
-    enough: float = Field(0.55, ge=0, description="agreement from which more hardly counts")
+    overlap_saturation: float = Field(
+        0.55, ge=0, description="agreement from which more hardly counts"
+    )
     near_bonus: float = Field(0.1, ge=0, description="for a view from the same place")
     near_m: float = Field(0.3, gt=0, description="which is so far from it")
     near_deg: float = Field(25.0, gt=0, description="and turned by so much")
@@ -62,15 +64,15 @@ class RecogniserParams(Params):
 class PlaceMatch:
     """An earlier view aligned with the query.
 
-    ``seen`` is the share of points that both see and ``blocking`` the share that contradicts, as
-    ``agreement.Agreement`` has them; ``score`` ranks.
+    Matches are ranked by ``score``. ``inlier_ratio`` and ``free_space_violation`` are defined in
+    ``slam_bof.geometry.Agreement``.
     """
 
     view_id: int
     score: float
     T_match_query: Pose
-    seen: float
-    blocking: float
+    inlier_ratio: float
+    free_space_violation: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,10 +120,10 @@ class PlaceRecogniser:
         self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
         self._panorama, self._slices = Panorama(), Slices()
         self._searched: list[int] = []  # views, of which the next two have a row each
-        self._panoramas = Stack(self._panorama.shape, np.complex64)
-        self._plans = Stack(self._slices.shape, np.complex64)
-        self._R_level_camera = Stack((3, 3), np.float64)
-        self._T_odom_camera = Stack((4, 4), np.float64)
+        self._panoramas = GrowingArray(self._panorama.shape, np.complex64)
+        self._plans = GrowingArray(self._slices.shape, np.complex64)
+        self._R_level_camera = GrowingArray((3, 3), np.float64)
+        self._T_odom_camera = GrowingArray((4, 4), np.float64)
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._before: tuple[int, list[PlaceMatch]] = (0, [])
 
@@ -136,7 +138,9 @@ class PlaceRecogniser:
         return self._add(frame, T_odom_camera, gravity_camera)
 
     @contextmanager
-    def guest(self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None) -> Iterator[int]:
+    def temporary_query(
+        self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
+    ) -> Iterator[int]:
         """Remember a view of which no odometry tells, and forget it when the block ends.
 
         The block may ask with the id that it is given (``recognise_alone``), and must not add
@@ -157,8 +161,8 @@ class PlaceRecogniser:
         """
         if gravity_camera is None:
             # Who looked down at a table most of the time does so again.
-            usual = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
-            tracker = GravityTracker(usual, never_lost=True)
+            reference = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
+            tracker = GravityTracker(reference, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
         view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
         try:
@@ -170,7 +174,7 @@ class PlaceRecogniser:
             for held in (self._aligner, self._T_odom_camera, self._R_level_camera):
                 held.truncate(view_id)
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Leave the newest view out of later searches, for it shows what an older one does.
 
         So searches cost by how much there is to see, not by how long one has looked.
@@ -278,10 +282,16 @@ class PlaceRecogniser:
         if len(ids) == 0:
             return []
         T = self._aligner.align(view_id, ids, starts)
-        seen, blocking, _ = self._aligner.agreement(view_id, ids, T)
-        scores = self._score(T, seen - blocking)
+        inlier_ratio, free_space_violation, _ = self._aligner.agreement(view_id, ids, T)
+        scores = self._score(T, inlier_ratio - free_space_violation)
         return [
-            PlaceMatch(int(ids[k]), float(scores[k]), T[k], float(seen[k]), float(blocking[k]))
+            PlaceMatch(
+                int(ids[k]),
+                float(scores[k]),
+                T[k],
+                float(inlier_ratio[k]),
+                float(free_space_violation[k]),
+            )
             for k in np.argsort(-scores, kind="stable")
         ]
 
@@ -334,5 +344,7 @@ class PlaceRecogniser:
         distance = np.linalg.norm(T_match_query[:, :3, 3], axis=1) / p.near_m
         angle = se3.rotation_angle(T_match_query) / np.radians(p.near_deg)
         near = np.exp(-(distance**2 + angle**2) / 2)
-        more = np.maximum(agreement - p.enough, 0.0)
-        return np.asarray(np.minimum(agreement, p.enough) + 0.1 * more + p.near_bonus * near)
+        more = np.maximum(agreement - p.overlap_saturation, 0.0)
+        return np.asarray(
+            np.minimum(agreement, p.overlap_saturation) + 0.1 * more + p.near_bonus * near
+        )

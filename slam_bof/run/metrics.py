@@ -55,7 +55,7 @@ def compute_metrics(
         "n_keyframes": len(result.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
         "n_frames_lost": closer.n_frames_lost,
-        "n_parts": closer.n_parts,
+        "n_components": closer.n_components,
         "n_candidates": len(considered),
         "n_verified": len(verified),
         **{f"n_keyframes_{name}": n for name, n in asdict(closer.loop_counts).items()},

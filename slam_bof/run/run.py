@@ -172,7 +172,7 @@ def resume_sequence(
                 f"{map_file}: found a run of {' '.join(expected)}, expected one of "
                 f"{' '.join(found)}"
             )
-        config = configs.parse(session.config, f"{map_file}: session {session.id}")
+        config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
         _check_ready(store, dataset, job.closer.model_hash, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
@@ -228,7 +228,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         )
     T_map_camera = closer.backend.poses()
     smoothed, regions = label_map(
-        closer.keyframes, T_map_camera, config.labels, config.regions, parts=closer.parts
+        closer.keyframes, T_map_camera, config.labels, config.regions, components=closer.components
     )
     left_out = closer.loops_left_out
     store.finish(

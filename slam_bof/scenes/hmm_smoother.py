@@ -41,7 +41,7 @@ def smooth(
     params: SceneFilterParams,
     *,
     axes: ArrayLike | None = None,
-    parts: ArrayLike | None = None,
+    components: ArrayLike | None = None,
     segments: ArrayLike | None = None,
     sessions: ArrayLike | None = None,
 ) -> list[Scene]:
@@ -58,8 +58,8 @@ def smooth(
     axes
         (K, 3) unit vectors: the direction each looks in, in the frame of the positions. By
         default it counts as evidence of where it stands.
-    parts
-        (K,) the part of the map each is in: positions of different parts mean nothing to each
+    components
+        (K,) the component each is in: positions of different components mean nothing to each
         other; by default all are in one.
     segments
         (K,) where this changes, positions mean nothing to those before; by default never.
@@ -74,7 +74,7 @@ def smooth(
     )
     if axes is not None:
         looks_m = positions_m + params.ahead_m * np.asarray(axes, dtype=np.float64)
-        where = np.zeros(len(scenes)) if parts is None else np.asarray(parts)
+        where = np.zeros(len(scenes)) if components is None else np.asarray(components)
         logs = place_evidence(logs, looks_m, positions_m, where, params.spread_m)
     ways_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     ways_m[~np.isfinite(ways_m)] = 0.0
@@ -94,7 +94,7 @@ def place_evidence(
     logs: Array,
     looks_m: Array,
     positions_m: Array,
-    parts: NDArray[np.generic],
+    components: NDArray[np.generic],
     spread_m: float,
 ) -> Array:
     """Move the evidence of each keyframe to those that stand where it looks.
@@ -105,8 +105,8 @@ def place_evidence(
         (K, C) logarithms of the evidence.
     looks_m, positions_m
         (K, 3) what they look at, and where they stand; those not finite keep their evidence.
-    parts
-        (K,) the part of the map each is in: none gives to another part.
+    components
+        (K,) the component each is in: none gives to another component.
     spread_m
         Gaussian width of the shares; the ``N_NEAR`` nearest get them, and the nearest one always
         does.
@@ -126,8 +126,8 @@ def place_evidence(
     placed = np.zeros_like(logs)
     known = np.isfinite(positions_m).all(axis=1) & np.isfinite(looks_m).all(axis=1)
     placed[~known] = logs[~known]
-    for part in np.unique(parts[known]):
-        ids = np.flatnonzero(known & (parts == part))
+    for component in np.unique(components[known]):
+        ids = np.flatnonzero(known & (components == component))
         n_near = min(N_NEAR, len(ids))
         apart_m, near = cKDTree(positions_m[ids]).query(looks_m[ids], k=n_near)
         apart_m, near = apart_m.reshape(-1, n_near), near.reshape(-1, n_near)

@@ -21,7 +21,7 @@ def label_map(
     labels: SceneFilterParams | None = None,
     regions: RegionParams | None = None,
     *,
-    parts: ArrayLike | None = None,
+    components: ArrayLike | None = None,
 ) -> tuple[list[Scene | None], list[Region]]:
     """Smooth the labels of keyframes over the whole trajectory, and find the rooms.
 
@@ -31,8 +31,8 @@ def label_map(
         K keyframes in the order they came, and their poses (K, 4, 4).
     labels, regions
         Parameters of either.
-    parts
-        (K,) the part of the map each is in, by default all in one.
+    components
+        (K,) the component each is in, by default all in one.
 
     Returns
     -------
@@ -51,11 +51,11 @@ def label_map(
         positions_m[at],
         labels,
         axes=T_map_camera[at, :3, 2],
-        parts=None if parts is None else np.asarray(parts)[at],
+        components=None if components is None else np.asarray(components)[at],
         segments=[keyframe.segment for _, keyframe, _ in own],
         sessions=[keyframe.session for _, keyframe, _ in own],
     )
     scenes: list[Scene | None] = [None] * len(keyframes)
     for k, scene in zip(at, found, strict=True):
         scenes[k] = scene
-    return scenes, find_regions(scenes, positions_m, regions, parts=parts)
+    return scenes, find_regions(scenes, positions_m, regions, components=components)

@@ -57,7 +57,7 @@ def find_regions(
     positions_m: ArrayLike,
     params: RegionParams | None = None,
     *,
-    parts: ArrayLike | None = None,
+    components: ArrayLike | None = None,
 ) -> list[Region]:
     """Group keyframes into rooms, in the order in which they were first entered.
 
@@ -70,8 +70,8 @@ def find_regions(
         (K, 3) where they are in the map; those not finite are in no region.
     params
         What makes a region.
-    parts
-        (K,) the part of the map each is in: positions of different parts mean nothing to each
+    components
+        (K,) the component each is in: positions of different components mean nothing to each
         other.
 
     Examples
@@ -91,7 +91,7 @@ def find_regions(
     labelled = [scene for i in ids.tolist() if (scene := scenes[i]) is not None]
     if not labelled:
         return []
-    where = np.zeros(len(scenes)) if parts is None else np.asarray(parts)
+    where = np.zeros(len(scenes)) if components is None else np.asarray(components)
     pairs = _pairs(positions_m[ids], where[ids], max(p.radius_m, 3.0 * p.vote_m))
     votes = _vote(np.array([scene.probabilities for scene in labelled]), pairs, p)
     numbers = _link(votes.argmax(axis=1), pairs, p)
@@ -116,17 +116,17 @@ def find_regions(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Keyframes ``i`` and ``j`` (M,) of one part that are near, both ways, themselves too."""
+    """Keyframes ``i`` and ``j`` (M,) of one component that are near, both ways, themselves too."""
 
     i: NDArray[np.intp]
     j: NDArray[np.intp]
     apart_m: Array
 
 
-def _pairs(positions_m: Array, parts: NDArray[np.generic], radius_m: float) -> _Pairs:
+def _pairs(positions_m: Array, components: NDArray[np.generic], radius_m: float) -> _Pairs:
     tree = cKDTree(positions_m)
     found = tree.sparse_distance_matrix(tree, radius_m, output_type="ndarray")
-    found = found[parts[found["i"]] == parts[found["j"]]]
+    found = found[components[found["i"]] == components[found["j"]]]
     return _Pairs(found["i"], found["j"], found["v"])
 
 

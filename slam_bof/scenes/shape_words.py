@@ -22,7 +22,7 @@ from slam_bof.bof import (
     find_contours,
     layer_images,
 )
-from slam_bof.core import scratch_image
+from slam_bof.core import thread_buffer
 from slam_bof.scenes.levelled_view import LevelView
 from slam_bof.types import Contours
 
@@ -81,7 +81,7 @@ def describe_shapes(view: LevelView) -> NDArray[np.float32]:
 def _contours(points: NDArray[np.float32], layers: LayerParams) -> Contours:
     margin_px = CONTOURS.margin_px
     side = layers.resolution_px + 2 * margin_px
-    out = scratch_image("shapes", (layers.n_layers, side, side))
+    out = thread_buffer("shapes", (layers.n_layers, side, side))
     images = layer_images(points, layers, margin_px=margin_px, out=out)
     return find_contours(images, CONTOURS, margin_px=margin_px)
 

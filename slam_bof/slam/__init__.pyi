@@ -1,6 +1,6 @@
 from . import config as config
 from .components import (
-    MapParts as MapParts,
+    MapComponents as MapComponents,
 )
 from .config import (
     Config as Config,
@@ -8,7 +8,7 @@ from .config import (
     preset as preset,
 )
 from .frame_history import (
-    History as History,
+    FrameHistory as FrameHistory,
 )
 from .keyframe_map import (
     KeyframeMap as KeyframeMap,

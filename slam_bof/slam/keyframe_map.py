@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.core import StageClock, registry
-from slam_bof.geometry import PointParams, points_camera, se3, thicken, view_overlap, view_stride
+from slam_bof.geometry import (
+    PointParams,
+    points_camera,
+    restore_frame,
+    se3,
+    view_overlap,
+    view_stride,
+)
 from slam_bof.loops import (
     CovisibilityParams,
     LoopCounts,
@@ -115,9 +122,9 @@ class KeyframeMap:
         return self.keyframes[self.first_keyframe :]
 
     @property
-    def parts(self) -> NDArray[np.intp]:
-        """The part of the map (K,) that each keyframe is in."""
-        return self.graph.parts.of_keyframes()
+    def components(self) -> NDArray[np.intp]:
+        """The component (K,) that each keyframe is in."""
+        return self.graph.components.of_keyframes()
 
     @property
     def loop_counts(self) -> LoopCounts:
@@ -163,15 +170,15 @@ class KeyframeMap:
             verified = self._verification.verify(
                 found.candidates + covisible,
                 T_map_camera,
-                parts=self.parts,
+                components=self.components,
                 guesses=found.guesses,
             )
         self._close(keyframe, verified.admitted)
         return verified
 
-    def take_back(self, record: KeyframeRecord) -> None:
+    def replay(self, record: KeyframeRecord) -> None:
         """Do again what a saved keyframe came to, but for what was searched for and measured."""
-        keyframe, frame = record.keyframe, thicken(record.thin, record.keyframe.stamp_s)
+        keyframe, frame = record.keyframe, restore_frame(record.depth, record.keyframe.stamp_s)
         if keyframe.scene is not None:
             position_m = keyframe.T_odom_camera[:3, 3]
             self._scene_filter.update(
@@ -182,7 +189,7 @@ class KeyframeMap:
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
         loops = [loop for loop in record.measured if loop.kind == "loop"]
-        self._verification.admit(loops, self.graph.poses(), self.parts)
+        self._verification.admit(loops, self.graph.poses(), self.components)
         self._close(keyframe, record.admitted)
 
     def state(self) -> dict[str, Any]:
@@ -195,7 +202,7 @@ class KeyframeMap:
 
     def _close(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
         loops = list(loops)
-        self._detector.note(loops)
+        self._detector.on_loops_accepted(loops)
         with self._clock.stage("optimize"):
             self.graph.add_loops(loops)
             self.T_map_track = self.graph.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
@@ -221,8 +228,8 @@ class KeyframeMap:
         overlaps = view_overlap(
             points[::every], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m
         )
-        parts = self.parts
-        overlaps[parts[:-1] != parts[-1]] = 0.0
+        components = self.components
+        overlaps[components[:-1] != components[-1]] = 0.0
         min_age_s = self._detector.params.min_age_s
         return [
             Candidate(

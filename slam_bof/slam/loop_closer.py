@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.core import StageClock, one_blas_thread
-from slam_bof.geometry import CloudCamera, in_steps, se3, thicken, thin
+from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
 from slam_bof.loops import LoopCounts
 from slam_bof.ports import Backend
 from slam_bof.slam.config import Config, load, preset
-from slam_bof.slam.frame_history import History
+from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.tracking import KeyframeSelector, Track, Tracker, TrackingParams
 from slam_bof.types import (
@@ -59,7 +59,7 @@ class LoopCloser:
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> None:
-        self.history = History()
+        self.history = FrameHistory()
         self.journal = journal
         """Takes each keyframe with all that was learnt with it."""
         self._map = keyframes
@@ -131,7 +131,7 @@ class LoopCloser:
         """
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         is_settled = self._camera is not None
-        frame, T_camera_view = self._cloud_camera.look(stamp_s, points_camera, T_odom_camera)
+        frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
         T_odom_view = T_odom_camera @ T_camera_view
         step = self._process(frame, T_odom_view, se3.inverse(T_camera_view))
         if not is_settled and not frame.depth.any():
@@ -168,27 +168,27 @@ class LoopCloser:
         for record in records:
             while self._map.session < record.keyframe.session:
                 self.begin_session()
-            self._camera = record.thin.intrinsics
+            self._camera = record.depth.intrinsics
             self.history.frames.extend(record.frames)
-            self._map.take_back(record)
+            self._map.replay(record)
         if record is None or not record.state:
             return  # no run goes on from a map that was pruned, only another session
-        frame, last = thicken(record.thin, record.keyframe.stamp_s), record.frames[-1]
+        frame, last = restore_frame(record.depth, record.keyframe.stamp_s), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
         self._tracker.restore(record.state["tracker"], frame, track)
         self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
         self._map.restore(record.state["detector"])
         if record.state["is_around"] is not None:
-            self._cloud_camera.restore(record.thin.intrinsics, record.state["is_around"])
+            self._cloud_camera.restore(record.depth.intrinsics, record.state["is_around"])
 
     def begin_session(self) -> None:
         """Expect frames of another odometry, or of one that was started anew, in the same place.
 
-        Their clock may start anew as well. They are a part of the map of their own until loops
+        Their clock may start anew as well. They are a component of their own until loops
         join them to what was seen before.
         """
         self._map.begin_session()
-        self.history = History()
+        self.history = FrameHistory()
         segment = self.keyframes[-1].segment + 1 if self.keyframes else 0
         self._tracker = Tracker(self._tracking, seed=self._seed, segment=segment)
         self._selector.reset()
@@ -234,14 +234,14 @@ class LoopCloser:
         return self._map.loop_counts
 
     @property
-    def n_parts(self) -> int:
-        """Of how many parts, which no loop has joined, the map is."""
-        return len(self._map.graph.parts)
+    def n_components(self) -> int:
+        """Of how many components, which no loop has joined, the map is."""
+        return len(self._map.graph.components)
 
     @property
-    def parts(self) -> NDArray[np.intp]:
-        """The part of the map (K,) that each keyframe is in."""
-        return self._map.parts
+    def components(self) -> NDArray[np.intp]:
+        """The component (K,) that each keyframe is in."""
+        return self._map.components
 
     @property
     def n_odometry_lost(self) -> int:
@@ -277,7 +277,7 @@ class LoopCloser:
             place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
             raise ValueError(f"{place}: {error}") from None
         self._camera = camera
-        frame = in_steps(frame)
+        frame = quantize_depth(frame)
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera)
         segment = LOST if track.is_lost else track.segment
@@ -289,7 +289,7 @@ class LoopCloser:
             # The frame before, whose agreement showed that the track is found.
             self.history.find_last_but_one(track.segment)
         if not track.is_lost and self._selector.select(
-            frame_index, track.T_odom_camera, seen=track.seen
+            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
             self._tracker.keep()
             step = self._add_keyframe(frame_index, frame, track)
@@ -320,5 +320,5 @@ class LoopCloser:
                     "is_around": self._cloud_camera.is_around,
                 }
                 outcome = (candidates, tuple(verified.measured), admitted)
-                self.journal(KeyframeRecord(keyframe, thin(frame), unsaved, *outcome, state))
+                self.journal(KeyframeRecord(keyframe, subsample(frame), unsaved, *outcome, state))
         return Step(keyframe, keyframe.scene, admitted, candidates, np.eye(4))

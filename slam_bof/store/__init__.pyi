@@ -2,7 +2,7 @@ from .integrity import (
     check_map as check_map,
 )
 from .map_components import (
-    parts_of as parts_of,
+    components_of as components_of,
 )
 from .map_store import (
     MapStore as MapStore,

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 from slam_bof.errors import MapError
 from slam_bof.store.map_store import MapStore
-from slam_bof.store.row_codec import thin_of
+from slam_bof.store.row_codec import subsampled_depth_of
 from slam_bof.store.schema import CHECKED
 from slam_bof.store.sqlite import naming_errors, row_crc
 
@@ -143,7 +143,7 @@ def _check_sense(store: MapStore, damaged: set[tuple[str, int | str]]) -> Iterat
     for row in views:
         if ("views", row["keyframe_id"]) in damaged or camera is None:
             continue
-        if thin_of(row, camera) is None:
+        if subsampled_depth_of(row, camera) is None:
             yield Damage("views", row["keyframe_id"], "is no 16-bit PNG")
     if views:  # maps made before version 4 have none
         seen = {row["keyframe_id"] for row in views}

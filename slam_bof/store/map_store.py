@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from slam_bof.errors import MapError
-from slam_bof.geometry import thicken
+from slam_bof.geometry import restore_frame
 from slam_bof.scenes import Region
 from slam_bof.store.database import MapFile
 from slam_bof.store.row_codec import (
@@ -37,7 +37,7 @@ from slam_bof.store.row_codec import (
     region_of,
     region_row,
     scene_row,
-    thin_of,
+    subsampled_depth_of,
     view_row,
 )
 from slam_bof.store.schema import CHECKED, POSE, SMOOTHED
@@ -52,7 +52,7 @@ from slam_bof.types import (
     KeyframeRecord,
     Loop,
     Scene,
-    ThinDepth,
+    SubsampledDepth,
 )
 
 __all__ = ["MapStore", "Session", "SessionResult"]
@@ -125,10 +125,10 @@ class MapStore(MapFile):
         with self.transaction() as db:
             if keyframe.scene is not None:
                 self._keep(db, "classes", list(keyframe.scene.classes))
-            self._keep(db, "camera", asdict(record.thin.intrinsics))
+            self._keep(db, "camera", asdict(record.depth.intrinsics))
             db.execute(INSERT_KEYFRAME, keyframe_row(keyframe))
             sign(db, "keyframes", "id = ?", keyframe.id)
-            db.execute(INSERT_VIEW, view_row(keyframe.id, record.thin))
+            db.execute(INSERT_VIEW, view_row(keyframe.id, record.depth))
             sign(db, "views", "keyframe_id = ?", keyframe.id)
             self._add_frames(db, keyframe.session, first, record.frames)
             self._add_candidates(db, record)
@@ -250,7 +250,7 @@ class MapStore(MapFile):
         if not rows:
             return None
         ((stamp_s,),) = self.select("SELECT stamp_s FROM keyframes WHERE id = ?", keyframe_id)
-        return thicken(self.thin(rows[0]), stamp_s)
+        return restore_frame(self.depth_of(rows[0]), stamp_s)
 
     def loops(self) -> list[Loop]:
         """Return all edges of the graph, in the order they entered it."""
@@ -274,16 +274,16 @@ class MapStore(MapFile):
                 )
         return rows
 
-    def thin(self, row: Any) -> ThinDepth:
+    def depth_of(self, row: Any) -> SubsampledDepth:
         """Return what a row of ``views`` keeps of a depth image; ``MapError`` if it is damaged."""
         camera = self.intrinsics()
-        thin = None if camera is None else thin_of(row, camera)
-        if thin is None:
+        depth = None if camera is None else subsampled_depth_of(row, camera)
+        if depth is None:
             raise MapError(
                 f"{self.path}: found a damaged depth image of keyframe {row['keyframe_id']}, "
                 "expected a 16-bit PNG"
             )
-        return thin
+        return depth
 
     def _add_frames(
         self, db: sqlite3.Connection, session: int, first: int, frames: Iterable[FramePose]

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
-from slam_bof.slam import History
-from slam_bof.store.map_components import parts_of
+from slam_bof.slam import FrameHistory
+from slam_bof.store.map_components import components_of
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import INSERT_CANDIDATE, candidate_row, edge_row
 from slam_bof.store.schema import CHECKED, POSE
@@ -63,23 +63,23 @@ def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -
         dropped = set(choose(store))
         if not dropped:
             return 0
-        parts = parts_of(store)
-        kept = [k for k in range(len(parts)) if k not in dropped]
+        components = components_of(store)
+        kept = [k for k in range(len(components)) if k not in dropped]
         with store.transaction() as db:
             _settle(store, db)
             drop_keyframes(db, dropped)
-            _tie(store, db, parts[kept])
+            _tie(store, db, components[kept])
         store.vacuum()
     return len(dropped)
 
 
 def redundant(store: MapStore, *, distance_m: float, angle_rad: float) -> list[int]:
     """Return keyframes that stand where an older one does that is kept, nearer and less turned."""
-    T_map_camera, parts = store.map_poses(), parts_of(store)
+    T_map_camera, components = store.map_poses(), components_of(store)
     kept: list[int] = []
     dropped: list[int] = []
     for id_, T in enumerate(T_map_camera):
-        others = [k for k in kept if parts[k] == parts[id_]]
+        others = [k for k in kept if components[k] == components[id_]]
         motions = se3.inverse(T_map_camera[others]) @ T
         near = np.linalg.norm(motions[:, :3, 3], axis=1) < distance_m
         near &= np.array(se3.rotation_angle(motions)) < angle_rad
@@ -141,7 +141,7 @@ def _settle(store: MapStore, db: sqlite3.Connection) -> None:
         frames = [replace(frame, T_view_camera=None) for frame in store.frames(session.id)]
         if not own or not frames:
             continue
-        settled = History(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
+        settled = FrameHistory(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
         db.executemany(
             "UPDATE frames SET T_odom_camera = ? WHERE session = ? AND frame_index = ?",
             [
@@ -153,14 +153,16 @@ def _settle(store: MapStore, db: sqlite3.Connection) -> None:
     db.execute("UPDATE sessions SET state = NULL")
 
 
-def _tie(store: MapStore, db: sqlite3.Connection, parts: NDArray[np.int64]) -> None:
-    """Tie each segment to the nearest keyframe of an older one of its part, as loops had it."""
+def _tie(store: MapStore, db: sqlite3.Connection, components: NDArray[np.int64]) -> None:
+    """Connect each segment to the nearest keyframe of an older segment of its component."""
     keyframes, T_map_camera = store.keyframes(), store.map_poses()
     segments = np.array([keyframe.segment for keyframe in keyframes])
     ((next_id,),) = db.execute("SELECT coalesce(max(loop_id) + 1, 0) FROM candidates")
     for segment in np.unique(segments):
         query = int(np.flatnonzero(segments == segment)[0])
-        older = np.flatnonzero((parts[:query] == parts[query]) & (segments[:query] != segment))
+        older = np.flatnonzero(
+            (components[:query] == components[query]) & (segments[:query] != segment)
+        )
         if not len(older):
             continue
         apart_m = np.linalg.norm(T_map_camera[older, :3, 3] - T_map_camera[query, :3, 3], axis=1)

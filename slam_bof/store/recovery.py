@@ -172,7 +172,7 @@ def _read_session(db: sqlite3.Connection, id_: int) -> tuple[object, ...]:
         return UNKNOWN
     texts = [text.encode(errors="surrogateescape").decode(errors="replace") for text in row[:3]]
     try:
-        configs.parse(texts[2], "")
+        configs.parse_saved(texts[2], "")
     except ConfigError:
         texts[2] = ""
     n = row["max_frames"]

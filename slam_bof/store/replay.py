@@ -55,7 +55,7 @@ def read_records(store: MapStore, *, as_before: int | None = None) -> Iterator[K
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
             replace(keyframe, T_odom_camera=poses[-1].T_odom_camera),
-            store.thin(views[0]),
+            store.depth_of(views[0]),
             poses,
             tuple(map(candidate_of, own)),
             tuple(loop_of(row) for row in own if row["information"] is not None),

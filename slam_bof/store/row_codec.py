@@ -23,7 +23,7 @@ from slam_bof.types import (
     Loop,
     Pose,
     Scene,
-    ThinDepth,
+    SubsampledDepth,
 )
 
 __all__ = [
@@ -47,7 +47,7 @@ __all__ = [
     "scene_of",
     "scene_row",
     "smoothed_of",
-    "thin_of",
+    "subsampled_depth_of",
     "view_row",
 ]
 
@@ -146,19 +146,19 @@ def region_of(row: Any, keyframe_ids: Sequence[int]) -> Region:
     )
 
 
-def view_row(keyframe_id: int, thin: ThinDepth) -> Row:
+def view_row(keyframe_id: int, depth: SubsampledDepth) -> Row:
     """Return the values of ``INSERT_VIEW``."""
-    _, png = cv2.imencode(".png", thin.depth, PNG)
-    return int(keyframe_id), thin.per_m, png.tobytes()
+    _, png = cv2.imencode(".png", depth.depth, PNG)
+    return int(keyframe_id), depth.per_m, png.tobytes()
 
 
-def thin_of(row: Any, camera: Intrinsics) -> ThinDepth | None:
+def subsampled_depth_of(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     """Return what is kept of a depth image in a row of ``views``, nothing if it is damaged."""
     png = np.frombuffer(row["depth"], np.uint8)
     depth = cv2.imdecode(png, cv2.IMREAD_UNCHANGED) if png.size else None
     if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
         return None
-    return ThinDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
+    return SubsampledDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
 
 
 def frame_row(session: int, frame_index: int, frame: FramePose) -> Row:

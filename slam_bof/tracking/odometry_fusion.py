@@ -18,7 +18,7 @@ import numpy as np
 from slam_bof.geometry import se3
 from slam_bof.types import Array, Pose
 
-__all__ = ["PoseFusion"]
+__all__ = ["OdometryFusion"]
 
 FORGETTING = 0.05
 """Weight of the newest frame in what is known of the noise: about a second of a camera."""
@@ -26,7 +26,7 @@ SLIP = 3.0
 """Differences greater than usual by this are slips of odometry, and alignment is taken."""
 OUTLIER = 5.0
 """Greater ones than this count as this much in what is usual."""
-N_USUAL = 6
+N_REFERENCE = 6
 """Frames after which it is known what is usual."""
 TINY = 1e-12
 """Variances, m^2 and rad^2, that are nothing."""
@@ -39,7 +39,7 @@ class _Visit(NamedTuple):
     T_aligned: Pose
 
 
-class PoseFusion:
+class OdometryFusion:
     """Takes each frame's poses by odometry and by alignment, and says where it is."""
 
     def __init__(self) -> None:
@@ -106,8 +106,8 @@ class PoseFusion:
         first, second = aligned - odometry
         unsteady = _square(aligned[1] - aligned[0]) - _square(odometry[1] - odometry[0])
         self._n += 1
-        is_usual_known = self._n > N_USUAL
-        most = OUTLIER**2 * self._difference if is_usual_known else np.full(2, np.inf)
+        is_reference_known = self._n > N_REFERENCE
+        most = OUTLIER**2 * self._difference if is_reference_known else np.full(2, np.inf)
         weight = max(FORGETTING, 1.0 / (self._n + 1))
         squares = 0.5 * (_square(first) + _square(second))
         difference = np.minimum(squares, most)

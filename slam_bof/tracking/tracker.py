@@ -18,8 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from slam_bof.geometry import AlignmentParams, View, ViewAligner, make_view, se3
-from slam_bof.tracking.odometry_fusion import PoseFusion
+from slam_bof.geometry import AlignmentParams, DepthView, ViewAligner, make_view, se3
+from slam_bof.tracking.odometry_fusion import OdometryFusion
 from slam_bof.types import DepthFrame, Params, Pose
 
 __all__ = ["Track", "Tracker", "TrackingParams"]
@@ -30,7 +30,7 @@ KEYFRAME, FRAME, BEFORE = 0, 1, 2
 MARGIN = 0.1
 """By so much must a pose by odometry agree better to be taken instead of the aligned one, which
 is more exact than agreement can tell."""
-USUAL = 0.5, 0.85
+REFERENCE_RATIO_RANGE = 0.5, 0.85
 """What agreement is usual is said by the first frame after the first keyframe, between these ..."""
 FORGETTING = 0.1
 """... and by each one since, at this weight."""
@@ -49,11 +49,19 @@ class TrackingParams(Params):
     alignment: AlignmentParams = AlignmentParams(
         n_points=1000, n_iterations=8, gates_m=(0.15, 0.03)
     )
-    less: float = Field(0.2, ge=0, le=1, description="than usual, of a frame that odometry has")
-    less_found: float = Field(0.1, ge=0, le=1, description="of one that had to be searched for")
-    min_compared: float = Field(0.2, ge=0, le=1, description="share of points that can be told")
-    min_compared_found: float = Field(0.4, ge=0, le=1)
-    min_pixels: float = Field(0.05, ge=0, le=1, description="share of pixels with a depth")
+    max_inlier_drop: float = Field(
+        0.2, ge=0, le=1, description="than usual, of a frame that odometry has"
+    )
+    max_inlier_drop_relocalised: float = Field(
+        0.1, ge=0, le=1, description="of one that had to be searched for"
+    )
+    min_visible_ratio: float = Field(
+        0.2, ge=0, le=1, description="share of points that can be told"
+    )
+    min_visible_ratio_relocalised: float = Field(0.4, ge=0, le=1)
+    min_valid_pixel_ratio: float = Field(
+        0.05, ge=0, le=1, description="share of pixels with a depth"
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,28 +71,28 @@ class Track:
     ``T_odom_camera`` (4, 4) is the odometry's pose with all its slips so far mended; while
     ``is_lost`` it follows the odometry's motion, for want of better. ``segment`` counts how
     often the track began anew: what the poses of two segments say of each other is a guess.
-    ``seen`` is the share of points that the last keyframe sees too, NaN where not measured.
+    ``inlier_ratio`` is the share of points that the last keyframe sees too, NaN where not measured.
     """
 
     T_odom_camera: Pose
     is_lost: bool
     segment: int
-    seen: float
+    inlier_ratio: float
 
 
-class _Fit(NamedTuple):
+class _Registration(NamedTuple):
     """A pose of the frame, how far it agrees with a view, and by how much of either that is."""
 
     T_odom_frame: Pose
     agreement: float
-    compared: float
+    visible_ratio: float
 
 
 class _Found(NamedTuple):
     """Where a frame is, what the keyframe sees of it, and whether it follows the one before."""
 
     T_odom_camera: Pose
-    seen: float
+    inlier_ratio: float
     is_followed: bool
 
 
@@ -99,9 +107,9 @@ class Tracker:
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._segment = segment
         self._is_lost = False
-        self._usual = float("nan")
-        self._view: View | None = None
-        self._fusion = PoseFusion()
+        self._reference_inlier_ratio = float("nan")
+        self._view: DepthView | None = None
+        self._fusion = OdometryFusion()
         self._T_last = self._T_known = self._T_keyframe = np.eye(4)
 
     def track(self, frame: DepthFrame, T_odom_camera: Pose) -> Track:
@@ -114,7 +122,7 @@ class Tracker:
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
-        T, seen, is_followed = found or _Found(T_guess, float("nan"), False)
+        T, inlier_ratio, is_followed = found or _Found(T_guess, float("nan"), False)
         if is_followed:
             T = self._fusion.fuse(T_odom_camera, T)
         T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
@@ -123,7 +131,7 @@ class Tracker:
         if not is_lost:
             self._T_known = T
         self._T_last, self._is_lost = T, is_lost
-        return Track(T, is_lost, self._segment, seen)
+        return Track(T, is_lost, self._segment, inlier_ratio)
 
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
@@ -135,13 +143,13 @@ class Tracker:
 
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
-        usual = None if np.isnan(self._usual) else self._usual
-        return {"n_lost": self.n_lost, "usual": usual, "fusion": self._fusion.state()}
+        reference = None if np.isnan(self._reference_inlier_ratio) else self._reference_inlier_ratio
+        return {"n_lost": self.n_lost, "usual": reference, "fusion": self._fusion.state()}
 
     def restore(self, state: dict[str, Any], frame: DepthFrame, track: Track) -> None:
         """Go on from a keyframe: its frame, and where it was found to be."""
         self.n_lost = state["n_lost"]
-        self._usual = float("nan") if state["usual"] is None else state["usual"]
+        self._reference_inlier_ratio = float("nan") if state["usual"] is None else state["usual"]
         self._segment = track.segment
         if self.params.enabled:
             self._view = self._look(frame)
@@ -150,13 +158,13 @@ class Tracker:
             self.keep()
             self._fusion.restore(state["fusion"])
 
-    def _look(self, frame: DepthFrame) -> View | None:
+    def _look(self, frame: DepthFrame) -> DepthView | None:
         """Return the frame's view if it shows enough."""
         view = make_view(frame)
-        n_known = np.count_nonzero(view.depth_m)
-        return view if n_known >= self.params.min_pixels * view.depth_m.size else None
+        n_visible = np.count_nonzero(view.depth_m)
+        return view if n_visible >= self.params.min_valid_pixel_ratio * view.depth_m.size else None
 
-    def _find(self, before: View | None, T_guess: Pose) -> _Found | None:
+    def _find(self, before: DepthView | None, T_guess: Pose) -> _Found | None:
         """Return where the frame is; nothing if it is lost."""
         if self._view is None:
             return None
@@ -165,52 +173,65 @@ class Tracker:
         self._aligner.truncate(FRAME)
         self._aligner.add(self._view)
         followed = self._follow(KEYFRAME, self._T_keyframe, T_guess)
-        seen = followed.agreement * followed.compared
-        if np.isnan(self._usual):
-            self._usual = float(np.clip(followed.agreement, *USUAL))
+        inlier_ratio = followed.agreement * followed.visible_ratio
+        if np.isnan(self._reference_inlier_ratio):
+            self._reference_inlier_ratio = float(
+                np.clip(followed.agreement, *REFERENCE_RATIO_RANGE)
+            )
         if not self._is_lost and self._is_usual(followed):
-            self._usual += FORGETTING * (followed.agreement - self._usual)
-            return _Found(followed.T_odom_frame, seen, True)
+            self._reference_inlier_ratio += FORGETTING * (
+                followed.agreement - self._reference_inlier_ratio
+            )
+            return _Found(followed.T_odom_frame, inlier_ratio, True)
         from_before = None
         if before is not None:
             self._aligner.add(before)
             from_before = self._follow(BEFORE, self._T_last, T_guess)
             if not self._is_lost and self._is_usual(from_before):
-                return _Found(from_before.T_odom_frame, seen, False)
+                return _Found(from_before.T_odom_frame, inlier_ratio, False)
         searched = self._search(T_guess)
         if self._is_good(searched):
-            return _Found(searched.T_odom_frame, searched.agreement * searched.compared, False)
+            return _Found(searched.T_odom_frame, searched.agreement * searched.visible_ratio, False)
         if self._is_lost and from_before and self._is_good(from_before):
             self._segment += 1
             return _Found(from_before.T_odom_frame, 0.0, False)
         return None
 
-    def _is_usual(self, fit: _Fit) -> bool:
+    def _is_usual(self, registration: _Registration) -> bool:
         p = self.params
-        return fit.compared >= p.min_compared and fit.agreement >= self._usual - p.less
+        return (
+            registration.visible_ratio >= p.min_visible_ratio
+            and registration.agreement >= self._reference_inlier_ratio - p.max_inlier_drop
+        )
 
-    def _is_good(self, fit: _Fit) -> bool:
+    def _is_good(self, registration: _Registration) -> bool:
         p = self.params
-        return fit.compared >= p.min_compared_found and fit.agreement >= self._usual - p.less_found
+        return (
+            registration.visible_ratio >= p.min_visible_ratio_relocalised
+            and registration.agreement
+            >= self._reference_inlier_ratio - p.max_inlier_drop_relocalised
+        )
 
-    def _follow(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Fit:
+    def _follow(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Registration:
         """Align the frame with a view from where odometry has it."""
         T_view_guess = se3.inverse(T_odom_view) @ T_guess
         T_view_mended = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
-        mended = self._fit(view_id, T_odom_view, T_view_mended)
+        mended = self._evaluate(view_id, T_odom_view, T_view_mended)
         if mended.agreement > 1.0 - MARGIN:
             return mended
-        guessed = self._fit(view_id, T_odom_view, T_view_guess)
+        guessed = self._evaluate(view_id, T_odom_view, T_view_guess)
         return guessed if guessed.agreement > mended.agreement + MARGIN else mended
 
-    def _search(self, T_guess: Pose) -> _Fit:
+    def _search(self, T_guess: Pose) -> _Registration:
         """Align it with the keyframe from poses about the guess, and about the last one known."""
         starts = se3.inverse(self._T_keyframe) @ np.stack([T_guess, self._T_known])
         (T_keyframe_frame,) = self._aligner.align(FRAME, np.array([KEYFRAME]), starts[None])
-        return self._fit(KEYFRAME, self._T_keyframe, T_keyframe_frame)
+        return self._evaluate(KEYFRAME, self._T_keyframe, T_keyframe_frame)
 
-    def _fit(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> _Fit:
+    def _evaluate(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> _Registration:
         """Measure how far the frame agrees with a view at a pose."""
         found = self._aligner.agreement(FRAME, np.array([view_id]), T_view_frame[None])
-        seen, compared = float(found.seen[0]), float(found.compared[0])
-        return _Fit(T_odom_view @ T_view_frame, seen / max(compared, 1e-9), compared)
+        inlier_ratio, visible_ratio = float(found.inlier_ratio[0]), float(found.visible_ratio[0])
+        return _Registration(
+            T_odom_view @ T_view_frame, inlier_ratio / max(visible_ratio, 1e-9), visible_ratio
+        )

@@ -19,7 +19,7 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "rpe_m": ("RPE with loops, 30 frames (RMSE)", "{:.4f} m"),
         "n_odometry_lost": ("times that odometry was lost", "{}"),
         "n_frames_lost": ("frames lost: not known where", "{}"),
-        "n_parts": ("parts of the map that no loop joined", "{}"),
+        "n_components": ("components that no loop joined", "{}"),
     },
     "Loops and labels": {
         "n_candidates": ("pairs considered", "{}"),

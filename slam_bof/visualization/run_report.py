@@ -75,7 +75,7 @@ def write_report(path: Path | str, data: ReportData) -> None:
 def _subtitle(data: ReportData) -> str:
     stamps_s, metrics = data.optimized.stamps_s, data.metrics
     duration_s = float(stamps_s[-1] - stamps_s[0]) if len(stamps_s) else 0.0
-    parts = [
+    items = [
         str(metrics.get("dataset") or ""),
         _count(len(stamps_s), "frame"),
         f"{duration_s:.1f} s",
@@ -83,7 +83,7 @@ def _subtitle(data: ReportData) -> str:
         f"slam_bof {metrics['version']}" if metrics.get("version") is not None else "",
         f"seed {metrics['seed']}" if metrics.get("seed") is not None else "",
     ]
-    return " · ".join(part for part in parts if part)
+    return " · ".join(item for item in items if item)
 
 
 def _sections(data: ReportData) -> Iterator[str]:

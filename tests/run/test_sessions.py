@@ -19,7 +19,7 @@ from slam_bof.maps import MapLocalizer, merge_maps
 from slam_bof.run import read_run, run_sequence
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
-from slam_bof.store import MapStore, check_map, parts_of, prune_map, read_records, redundant
+from slam_bof.store import MapStore, check_map, components_of, prune_map, read_records, redundant
 from slam_bof.synthetic import Scene3D, make_room, spin, write_sequence
 from slam_bof.types import Trajectory
 
@@ -70,7 +70,7 @@ def test_a_second_session_joins_the_map_of_the_first(joined, sequences):
     assert (first.metrics["n_loops_across"], first.metrics["session"]) == (0, 0)
     assert second.metrics["session"] == 1
     assert second.metrics["n_loops_across"] > 4
-    assert second.metrics["n_parts"] == 1
+    assert second.metrics["n_components"] == 1
     assert error_m(map_file, sequences) < 0.03
     assert check_map(map_file) == []
     with MapStore.open(map_file) as store:
@@ -97,7 +97,7 @@ def test_a_run_s_folder_is_of_its_own_session(joined):
 def test_maps_are_merged_by_what_is_recognised(apart, sequences, tmp_path):
     out = tmp_path / "merged.db"
     merged = merge_maps(apart, out)
-    assert (merged.n_sessions, merged.n_parts) == (2, 1)
+    assert (merged.n_sessions, merged.n_components) == (2, 1)
     assert merged.n_loops_across > 4
     assert error_m(out, sequences) < 0.03
     assert check_map(out) == []
@@ -132,7 +132,7 @@ def test_a_pruned_map_stays_where_it_is_and_can_be_joined(joined, sequences, tmp
     with MapStore.open(map_file) as store:
         keyframes, poses = store.keyframes(), store.map_poses()
         assert [k.id for k in keyframes] == list(range(len(before) - n))
-        assert len(set(parts_of(store))) == 1
+        assert len(set(components_of(store))) == 1
         for keyframe, T in zip(keyframes, poses, strict=True):
             np.testing.assert_array_equal(T, before[keyframe.session, keyframe.frame_index])
         closer = LoopCloser.from_config(QUICK)
@@ -140,7 +140,7 @@ def test_a_pruned_map_stays_where_it_is_and_can_be_joined(joined, sequences, tmp
     errors = se3.inverse(closer.backend.poses()) @ poses
     assert np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.01
     again = run_sequence(sequences[0], QUICK, tmp_path, map_file=map_file)
-    assert (again.metrics["n_parts"], again.metrics["session"]) == (1, 2)
+    assert (again.metrics["n_components"], again.metrics["session"]) == (1, 2)
     assert again.metrics["ate_m"] < 0.03
 
 

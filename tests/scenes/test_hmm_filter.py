@@ -110,17 +110,19 @@ def test_evidence_goes_where_one_looks_and_none_is_lost():
     logs, positions_m = rng.normal(size=(40, 3)), rng.uniform(0.0, 3.0, (40, 3))
     positions_m[7] = np.nan
     looks_m = positions_m + np.array([0.0, 1.0, 0.0])
-    parts = np.arange(40) % 2
-    placed = place_evidence(logs, looks_m, positions_m, parts, 0.3)
+    components = np.arange(40) % 2
+    placed = place_evidence(logs, looks_m, positions_m, components, 0.3)
     for part in (0, 1):
-        np.testing.assert_allclose(placed[parts == part].sum(axis=0), logs[parts == part].sum(0))
+        np.testing.assert_allclose(
+            placed[components == part].sum(axis=0), logs[components == part].sum(0)
+        )
     np.testing.assert_array_equal(placed[7], logs[7])
     # A narrow spread is the nearest one.
-    ids = np.flatnonzero((parts == 0) & np.isfinite(positions_m[:, 0]))
+    ids = np.flatnonzero((components == 0) & np.isfinite(positions_m[:, 0]))
     distances_m = np.linalg.norm(looks_m[ids, None] - positions_m[None, ids], axis=2)
     expected = np.zeros_like(logs)
     np.add.at(expected, ids[distances_m.argmin(axis=1)], logs[ids])
-    narrow = place_evidence(logs, looks_m, positions_m, parts, 1e-3)
+    narrow = place_evidence(logs, looks_m, positions_m, components, 1e-3)
     np.testing.assert_allclose(narrow[ids], expected[ids], atol=1e-9)
 
 

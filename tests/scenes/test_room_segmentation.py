@@ -54,7 +54,7 @@ def test_few_keyframes_go_to_the_region_nearby_and_else_stay():
 
 
 def test_parts_of_the_map_do_not_mix():
-    regions = find_regions([scene("bath")] * 6, line(*[0.0] * 6), parts=[0, 0, 0, 1, 1, 1])
+    regions = find_regions([scene("bath")] * 6, line(*[0.0] * 6), components=[0, 0, 0, 1, 1, 1])
     assert [r.keyframe_ids for r in regions] == [(0, 1, 2), (3, 4, 5)]
 
 

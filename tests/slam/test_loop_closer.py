@@ -68,7 +68,7 @@ def three_rounds(look, standpoint, *assignments):
 def test_who_stands_where_another_stood_is_not_searched_for(look, standpoint):
     """But for the first of a round, whose loop still waits for another to agree."""
     found = three_rounds(look, standpoint)
-    without = three_rounds(look, standpoint, "loops.repeat_m=0")
+    without = three_rounds(look, standpoint, "loops.revisit_distance_m=0")
     assert found[1, 0] == without[1, 0] > 5
     assert without[2, 1] > 5
     assert found[2, 1] < without[2, 1]

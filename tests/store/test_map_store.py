@@ -131,7 +131,7 @@ def test_records_are_what_was_written(path: Path) -> None:
         found = list(read_records(store))
     for record, back in zip(records, found, strict=True):
         np.testing.assert_array_equal(back.keyframe.T_odom_camera, record.keyframe.T_odom_camera)
-        np.testing.assert_array_equal(back.thin.depth, record.thin.depth)
+        np.testing.assert_array_equal(back.depth.depth, record.depth.depth)
         assert len(back.frames) == len(record.frames)
         pairs = [[(loop.query_id, loop.match_id) for loop in r.admitted] for r in (back, record)]
         assert pairs[0] == pairs[1]

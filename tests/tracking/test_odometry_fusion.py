@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
-from slam_bof.tracking.odometry_fusion import PoseFusion
+from slam_bof.tracking.odometry_fusion import OdometryFusion
 
 N = 400
 KEPT = 7
@@ -27,7 +27,7 @@ def truth():
 
 
 def fused(odometry, aligned):
-    fusion = PoseFusion()
+    fusion = OdometryFusion()
     fusion.restart(odometry[0], aligned[0])
     poses = [aligned[0]]
     for i in range(1, len(odometry)):
@@ -89,7 +89,7 @@ def test_a_slip_is_mended_at_once(truth):
 
 
 def test_a_restart_is_where_it_is_said_to_be(truth):
-    fusion = PoseFusion()
+    fusion = OdometryFusion()
     fusion.restart(truth[10], truth[3])
     np.testing.assert_allclose(fusion.predict(truth[10]), truth[3], atol=1e-12)
     step = se3.inverse(truth[10]) @ truth[11]
