@@ -25,7 +25,7 @@ from slam_bof.bof.constellation_correspondences import (
 from slam_bof.bof.constellation_packing import PACKED, pack_constellation, unpack_constellation
 from slam_bof.bof.motion_votes import MotionVotes, count_votes, phases
 from slam_bof.bof.posting_lists import PostingLists, Postings
-from slam_bof.core import Stack
+from slam_bof.core import GrowingArray
 from slam_bof.types import Params
 
 __all__ = ["ConstellationIndex", "Found", "IndexParams"]
@@ -50,7 +50,10 @@ class IndexParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Views that agree with a query, best first: ids and scores (n,), and motions of n."""
+    """Views that agree with a query, best first.
+
+    Ids and scores (m,) are of all that were compared, ``motions`` of the best n.
+    """
 
     view_ids: NDArray[np.intp]
     scores: NDArray[np.float32]
@@ -70,10 +73,10 @@ class ConstellationIndex:
 
     def __init__(self, params: IndexParams | None = None) -> None:
         self.params = params or IndexParams()
-        self._rows = Stack((), PACKED)
-        self._starts = Stack((), np.int64)
+        self._rows = GrowingArray((), PACKED)
+        self._starts = GrowingArray((), np.int64)
         self._starts.append(0)
-        self._totals = Stack((), np.float32)
+        self._totals = GrowingArray((), np.float32)
         self._postings = PostingLists()
 
     def __len__(self) -> int:
@@ -83,8 +86,8 @@ class ConstellationIndex:
     @property
     def nbytes(self) -> int:
         """Bytes of all views held."""
-        stacks = (self._rows, self._starts, self._totals)
-        return self._postings.nbytes + sum(stack.rows.nbytes for stack in stacks)
+        arrays = (self._rows, self._starts, self._totals)
+        return self._postings.nbytes + sum(array.rows.nbytes for array in arrays)
 
     def add(self, bofs: PlacedBofs) -> int:
         """Hold another view, and return its id: 0, 1, 2 ..."""
@@ -100,11 +103,11 @@ class ConstellationIndex:
         return view_id
 
     def pop(self) -> None:
-        """Drop the view added last; no more than one after another."""
+        """Drop the view added last; no more than two after another."""
+        self._postings.pop()
         self._starts.truncate(len(self))
         self._rows.truncate(int(self._starts.rows[-1]))
         self._totals.truncate(len(self) - 1)
-        self._postings.pop()
 
     def bofs(self, view_id: int) -> PlacedBofs:
         """Return the contours of a view, as they are kept."""
@@ -113,7 +116,7 @@ class ConstellationIndex:
         )
 
     def find(self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None) -> Found:
-        """Return the up to ``n`` views that agree best with a query.
+        """Return the views that agree best with a query, with the motions of up to ``n``.
 
         ``allowed`` (V,) leaves some out.
         """
@@ -142,7 +145,7 @@ class ConstellationIndex:
         return views[votes > 0]
 
     def compare(self, query: PlacedBofs, views: NDArray[np.intp], n: int) -> Found:
-        """Return the best ``n`` of views (m,) by consensus of all their contours."""
+        """Rank views (m,) by consensus of all their contours; fit the motions of the best n."""
         p = self.params.matching
         starts, stops = self._starts.rows[views], self._starts.rows[views + 1]
         counts = stops - starts
@@ -152,8 +155,8 @@ class ConstellationIndex:
         votes = vote(pairs, which[pairs.match], len(views), p)
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
         scores = votes.worth / np.maximum(total, np.float32(1e-6))
-        best = np.argsort(-scores, kind="stable")[:n]
-        return Found(views[best], scores[best], fit_motions(votes, best, p))
+        best = np.argsort(-scores, kind="stable")
+        return Found(views[best], scores[best], fit_motions(votes, best[:n], p))
 
 
 def _shape(bofs: PlacedBofs) -> NDArray[np.float32]:

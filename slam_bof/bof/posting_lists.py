@@ -52,9 +52,10 @@ class PostingLists:
 
     def add(self, postings: Postings) -> None:
         """Add a view's contours."""
-        if len(self._new) >= self._n_new:
-            self._lists.append(_join(self._new).sorted())
-            self._new = []
+        if len(self._new) > self._n_new:
+            # The last may still be dropped.
+            self._lists.append(_join(self._new[:-1]).sorted())
+            self._new = self._new[-1:]
             while len(self._lists) > 1 and len(self._lists[-2].keys) < MERGE_RATIO * len(
                 self._lists[-1].keys
             ):
@@ -64,7 +65,13 @@ class PostingLists:
         self._newest = None
 
     def pop(self) -> None:
-        """Drop the contours of the view added last."""
+        """Drop the contours of the view added last; of the last two, but of no more.
+
+        Raises
+        ------
+        IndexError
+            If there are none that can be dropped.
+        """
         self._new.pop()
         self._newest = None
 

@@ -23,10 +23,10 @@ def described(frame):
 
 @pytest.fixture(scope="module")
 def pair():
-    """Two of a slow turn in a furnished room, 10 degrees apart."""
+    """Two of a slow turn in a furnished room, 12 degrees apart."""
     frames, T_first_camera = example_frames()
-    T_match_query = se3.inverse(T_first_camera[0]) @ T_first_camera[10]
-    return described(frames[10]), described(frames[0]), T_match_query
+    T_match_query = se3.inverse(T_first_camera[0]) @ T_first_camera[15]
+    return described(frames[15]), described(frames[0]), T_match_query
 
 
 def moved(points_level, yaw, x, y, z):
@@ -60,8 +60,8 @@ def test_the_pose_between_two_views_is_found(pair):
     query, match, T_match_query = pair
     best = match_constellations(query, match)[0]
     error = se3.inverse(T_match_query) @ best.T_match_query
-    assert np.linalg.norm(error[:3, 3]) < 0.15
-    assert np.degrees(se3.rotation_angle(error)) < 4.0
+    assert np.linalg.norm(error[:3, 3]) < 0.25
+    assert np.degrees(se3.rotation_angle(error)) < 7.0
     assert best.inliers.shape[1] == 2
     assert len(best.inliers) > 5
 
