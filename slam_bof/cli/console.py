@@ -20,6 +20,8 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from slam_bof.types import EdgeKind
+
 if TYPE_CHECKING:
     from slam_bof.types import Step
 
@@ -135,7 +137,7 @@ class FrameBar(Bar):
     def on_step(self, frame_index: int, step: Step) -> None:
         """Move the bar on."""
         self._n_keyframes += step.keyframe is not None
-        self._n_loops += sum(loop.kind == "loop" for loop in step.loops)
+        self._n_loops += sum(loop.kind == EdgeKind.LOOP for loop in step.loops)
         scene = f", {step.scene.label}" if step.scene else ""
         note = f"{self._n_keyframes} keyframes, {self._n_loops} loops{scene}"
         self.show(frame_index + 1, self._n_frames, note)

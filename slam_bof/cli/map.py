@@ -10,6 +10,7 @@ import typer
 from slam_bof.cli.options import JSON, MAP
 from slam_bof.cli.query import map_file
 from slam_bof.errors import ConfigError, MapError
+from slam_bof.types import EdgeKind
 
 __all__ = ["app"]
 
@@ -47,8 +48,8 @@ def info(map_: MAP, as_json: JSON = False) -> None:
         facts = {
             "file": str(path),
             "n_keyframes": len(keyframes),
-            "n_loops": sum(loop.kind == "loop" for loop in loops),
-            "n_covisibility_edges": sum(loop.kind != "loop" for loop in loops),
+            "n_loops": sum(loop.kind == EdgeKind.LOOP for loop in loops),
+            "n_covisibility_edges": sum(loop.kind != EdgeKind.LOOP for loop in loops),
             "n_components": len(set(components_of(store).tolist())),
             "n_rooms": len(regions),
             "bytes": size,

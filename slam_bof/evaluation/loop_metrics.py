@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.types import Array, Loop, Trajectory
+from slam_bof.types import Array, EdgeKind, Loop, Trajectory
 
 __all__ = ["loop_errors", "loop_precision", "loop_recall", "revisits", "same_place"]
 
@@ -110,5 +110,5 @@ def loop_recall(
     back = revisits(keyframe_indices, reference)
     if not back.any():
         return None
-    looped = {loop.query_id for loop in loops if loop.kind == "loop"}
+    looped = {loop.query_id for loop in loops if loop.kind == EdgeKind.LOOP}
     return float(np.mean([id_ in looped for id_ in np.flatnonzero(back)]))

@@ -53,12 +53,12 @@ class DepthView:
         return np.asarray(self.normals_camera[self.normals_camera.any(axis=-1)])
 
 
-@lru_cache(maxsize=1)
 def make_view(frame: DepthFrame) -> DepthView:
-    """Return the small view of a frame, read-only.
+    """Return the small view of a frame, read-only; it is computed once and kept with the frame."""
+    return frame.derive(_make_view)
 
-    The last one is kept: tracking, recognition and verification each look at the same frame.
-    """
+
+def _make_view(frame: DepthFrame) -> DepthView:
     stride = 2 * view_stride(frame.intrinsics)
     depth_m = frame.depth_m(stride)
     depth_m[(depth_m < MIN_RANGE_M) | (depth_m > MAX_RANGE_M)] = 0.0
@@ -70,11 +70,17 @@ def make_view(frame: DepthFrame) -> DepthView:
 
 
 def view_points(frame: DepthFrame) -> NDArray[np.float32]:
-    """Return the frame's points (N, 3) of a grid twice as fine as its view's."""
+    """Return the points (N, 3) of a grid twice as fine as the view; computed once for a frame."""
+    return frame.derive(_view_points)
+
+
+def _view_points(frame: DepthFrame) -> NDArray[np.float32]:
     fine = PointParams(
         stride=view_stride(frame.intrinsics), min_range_m=MIN_RANGE_M, max_range_m=MAX_RANGE_M
     )
-    return points_camera_f32(frame, fine)
+    points = points_camera_f32(frame, fine)
+    points.setflags(write=False)
+    return points
 
 
 def quantize_depth(frame: DepthFrame) -> DepthFrame:

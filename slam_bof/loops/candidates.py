@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from slam_bof.bof import InvertedIndex
 from slam_bof.loops.params import LoopParams
 from slam_bof.places import PlaceRecogniser
-from slam_bof.types import Candidate, DepthFrame, Keyframe, Pose
+from slam_bof.types import Candidate, CandidateSource, Decision, DepthFrame, Keyframe, Pose
 
 __all__ = ["BagRanking", "Found", "Ranking", "ViewRanking"]
 
@@ -74,7 +74,12 @@ class BagRanking:
                 score = float(scores[best])
                 eta = score / normaliser if normaliser > 0.0 else np.inf
                 candidate = Candidate(
-                    keyframe.id, best, "bag", score=score, normaliser=normaliser, eta=eta
+                    keyframe.id,
+                    best,
+                    CandidateSource.BAG,
+                    score=score,
+                    normaliser=normaliser,
+                    eta=eta,
                 )
                 found.candidates.append(self._judge(candidate))
         self.remember(keyframe, frame)
@@ -107,7 +112,7 @@ class BagRanking:
             reason = f"eta {candidate.eta:.3f} below {p.lower_threshold:g}"
         else:
             return candidate
-        return replace(candidate, decision="rejected", reason=reason)
+        return replace(candidate, decision=Decision.REJECTED, reason=reason)
 
 
 class ViewRanking:
@@ -127,12 +132,12 @@ class ViewRanking:
         candidates = []
         for best in _maxima(scores, p):
             match = matches[best]
-            candidate = Candidate(keyframe.id, best, "view", score=match.score)
+            candidate = Candidate(keyframe.id, best, CandidateSource.VIEW, score=match.score)
             if match.inlier_ratio < p.min_inlier_ratio:
                 reason = (
                     f"both see {match.inlier_ratio:.2f} of the other, below {p.min_inlier_ratio:g}"
                 )
-                candidate = replace(candidate, decision="rejected", reason=reason)
+                candidate = replace(candidate, decision=Decision.REJECTED, reason=reason)
             candidates.append(candidate)
         return Found(
             candidates, {c.match_id: matches[c.match_id].T_match_query for c in candidates}

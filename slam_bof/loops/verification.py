@@ -16,7 +16,18 @@ from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoin
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.places import Compare
 from slam_bof.ports import Verifier
-from slam_bof.types import Array, Candidate, DepthFrame, Loop, Params, Pose, Verification
+from slam_bof.types import (
+    Array,
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    EdgeKind,
+    Loop,
+    Params,
+    Pose,
+    Verification,
+)
 
 __all__ = ["LoopVerification", "VerificationParams", "Verified"]
 
@@ -98,24 +109,27 @@ class LoopVerification:
         judged: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
-        still_open = [c for c in candidates if c.decision != "rejected"]
+        still_open = [c for c in candidates if c.decision != Decision.REJECTED]
         aligned = iter(self._align(still_open, T_map_camera, guesses))
         for candidate in candidates:
-            if candidate.decision == "rejected":
+            if candidate.decision == Decision.REJECTED:
                 judged.append(candidate)
                 continue
             verified = next(aligned)
-            if candidate.source == "proximity" and verified.overlap < self.params.min_overlap:
+            if (
+                candidate.source == CandidateSource.PROXIMITY
+                and verified.overlap < self.params.min_overlap
+            ):
                 # Too little to claim a loop, but two views of the same surfaces all the same.
-                candidate = replace(candidate, kind="covisibility")
-            if candidate.decision == "accepted":
+                candidate = replace(candidate, kind=EdgeKind.COVISIBILITY)
+            if candidate.decision == Decision.ACCEPTED:
                 decision, reason = _take(candidate, verified)
             else:
                 reason = verified.reason or self._reason_against(
                     candidate, verified, T_map_camera, components
                 )
-                decision = "rejected" if reason else "accepted"
-            if decision == "accepted":
+                decision = Decision.REJECTED if reason else Decision.ACCEPTED
+            if decision == Decision.ACCEPTED:
                 loop = Loop(
                     candidate.query_id,
                     candidate.match_id,
@@ -124,7 +138,7 @@ class LoopVerification:
                     candidate.kind,
                     candidate.source,
                 )
-                (loops if candidate.kind == "loop" else edges).append(loop)
+                (loops if candidate.kind == EdgeKind.LOOP else edges).append(loop)
             judged.append(
                 replace(
                     candidate,
@@ -166,7 +180,7 @@ class LoopVerification:
         again = [
             k
             for k, candidate in enumerate(candidates)
-            if candidate.source == "bag" and not verified[k].accepted
+            if candidate.source == CandidateSource.BAG and not verified[k].accepted
         ]
         found = self._verifier.verify(query, [matches[k] for k in again], seed=self._seed)
         for k, verification in zip(again, found, strict=True):
@@ -182,12 +196,12 @@ class LoopVerification:
     ) -> str:
         """Return why a well-aligned pair is no loop all the same, or nothing."""
         p = self.params
-        if candidate.kind != "loop":
+        if candidate.kind != EdgeKind.LOOP:
             return ""
         if verified.overlap < p.min_overlap:
             return f"overlap {verified.overlap:.2f} below the {p.min_overlap:g} that a loop needs"
         distance_m, angle_rad = _size(verified.T_match_query)
-        if candidate.source == "bag" and (
+        if candidate.source == CandidateSource.BAG and (
             distance_m > p.max_view_distance_m or angle_rad > p.max_view_angle_rad
         ):
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
@@ -212,13 +226,13 @@ class LoopVerification:
         return ""
 
 
-def _take(candidate: Candidate, verified: Verification) -> tuple[str, str]:
+def _take(candidate: Candidate, verified: Verification) -> tuple[Decision, str]:
     """Return decision and reason of a candidate that recognition accepted already."""
     information = verified.information
     if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
-        return "rejected", f"{candidate.reason}; no relative pose: {verified.reason}"
+        return Decision.REJECTED, f"{candidate.reason}; no relative pose: {verified.reason}"
     reason_against = f"; geometry objects: {verified.reason}" if verified.reason else ""
-    return "accepted", candidate.reason + reason_against
+    return Decision.ACCEPTED, candidate.reason + reason_against
 
 
 def _size(T: Pose) -> tuple[float, float]:
@@ -234,11 +248,15 @@ def _hold(
 
     def hold(candidate: Candidate) -> Candidate:
         pair = candidate.query_id, candidate.match_id
-        if candidate.decision != "accepted" or candidate.kind != "loop" or pair in pairs:
+        if (
+            candidate.decision != Decision.ACCEPTED
+            or candidate.kind != EdgeKind.LOOP
+            or pair in pairs
+        ):
             return candidate
         reason = "no loop of another keyframe agrees with it"
         if components[candidate.query_id] != components[candidate.match_id]:
             reason = "not enough yet to join two components"
-        return replace(candidate, decision="held", reason=reason)
+        return replace(candidate, decision=Decision.HELD, reason=reason)
 
     return [hold(candidate) for candidate in judged]

@@ -46,7 +46,7 @@ class HypothesisRegistration:
 
     @contextmanager
     def temporary_query(self, frame: DepthFrame) -> Iterator[Any]:
-        """Prepare a frame for ``register``; forget it when the block ends, where that is possible."""
+        """Prepare a frame for ``register``; forget it when the block ends, if possible."""
         prepared = self._prepare(frame)
         try:
             yield prepared

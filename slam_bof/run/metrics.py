@@ -11,7 +11,7 @@ import numpy as np
 from slam_bof import evaluation
 from slam_bof.core import StageClock, Usage, peak_rss_mb
 from slam_bof.slam import LoopCloser, SlamResult
-from slam_bof.types import Candidate, Scene, Trajectory
+from slam_bof.types import Candidate, CandidateSource, EdgeKind, Scene, Trajectory
 
 __all__ = ["Metrics", "compute_metrics"]
 
@@ -42,8 +42,8 @@ def compute_metrics(
     says of each. All are of this session, and times are those of this process.
     """
     n_frames = len(result.optimized)
-    loops = [loop for loop in result.loops if loop.kind == "loop"]
-    considered = [c for c in candidates if c.kind == "loop"]
+    loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
+    considered = [c for c in candidates if c.kind == EdgeKind.LOOP]
     verified = [c for c in considered if not np.isnan(c.rmse_m)]
     seconds = dict(clock.seconds, total=usage.wall_s)
     metrics: Metrics = {
@@ -55,12 +55,12 @@ def compute_metrics(
         "n_keyframes": len(result.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
         "n_frames_lost": closer.n_frames_lost,
-        "n_components": closer.n_components,
+        "n_components": closer.map.n_components,
         "n_candidates": len(considered),
         "n_verified": len(verified),
-        **{f"n_keyframes_{name}": n for name, n in asdict(closer.loop_counts).items()},
+        **{f"n_keyframes_{name}": n for name, n in asdict(closer.map.loop_counts).items()},
         "n_loops": len(loops),
-        "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
+        "n_loops_recognised": sum(loop.source != CandidateSource.PROXIMITY for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),
         "n_loops_across": result.n_loops_across,
         "n_edges_left_out": len(result.loops_left_out),
@@ -82,7 +82,7 @@ def compute_metrics(
         "peak_rss_mb": peak_rss_mb(),
         **{f"stage_ms.{name}": 1e3 * seconds.get(name, 0.0) / max(n_frames, 1) for name in STAGES},
         "descriptor_bytes_per_frame": _descriptor_bytes(result),
-        "session": closer.session,
+        "session": closer.map.session,
         "seed": seed,
         "version": importlib.metadata.version("slam-bof"),
     }
@@ -104,8 +104,8 @@ def _against_groundtruth(result: SlamResult, groundtruth: Trajectory) -> Metrics
     ate_odometry = evaluation.ate(result.odometry, reference)
     ate = evaluation.ate(result.optimized, reference)
     keyframe_indices = [k.frame_index for k in result.keyframes]
-    loops = [loop for loop in result.loops if loop.kind == "loop"]
-    edges = [loop for loop in result.loops if loop.kind == "covisibility"]
+    loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
+    edges = [loop for loop in result.loops if loop.kind == EdgeKind.COVISIBILITY]
     return {
         "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
         "ate_m": ate.rmse_m if ate else None,

@@ -118,7 +118,7 @@ def run_sequence(
                 MapStore.open(map_file, read_only=False) if is_there else MapStore.create(map_file)
             )
             stack.enter_context(store)
-            _check_ready(store, dataset, job.closer.model_hash)
+            _check_ready(store, dataset, job.closer.map.model_hash)
         folder = make_folder(out)
         stack.enter_context(naming_errors(folder))
         stack.enter_context(logging_to(folder / "run.log"))
@@ -174,7 +174,7 @@ def resume_sequence(
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
-        _check_ready(store, dataset, job.closer.model_hash, is_new=False)
+        _check_ready(store, dataset, job.closer.map.model_hash, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
         with naming_errors(folder), logging_to(folder / "run.log"):
@@ -226,20 +226,24 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
             f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little "
             "depth, or too little in common with what was seen before"
         )
-    T_map_camera = closer.backend.poses()
+    T_map_camera = closer.map.backend.poses()
     smoothed, regions = label_map(
-        closer.keyframes, T_map_camera, config.labels, config.regions, components=closer.components
+        closer.map.keyframes,
+        T_map_camera,
+        config.labels,
+        config.regions,
+        components=closer.map.components,
     )
-    left_out = closer.loops_left_out
+    left_out = closer.map.loops_left_out
     store.finish(
         session.id,
         SessionResult(
             closer.frames_since_keyframe, T_map_camera, smoothed, regions, left_out, LEFT_OUT
         ),
     )
-    first = closer.first_keyframe
-    candidates = of_session(store.candidates(), range(first, len(closer.keyframes)))
-    closer.backend.write_g2o(folder / "pose_graph.g2o")
+    first = closer.map.first_keyframe
+    candidates = of_session(store.candidates(), range(first, len(closer.map.keyframes)))
+    closer.map.backend.write_g2o(folder / "pose_graph.g2o")
     groundtruth = dataset.groundtruth()
     scenes = dataset.scenes()
     frames = [int(result.indices[k.frame_index]) for k in result.keyframes]
@@ -286,10 +290,10 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
 def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
     """Bring the closer to where the map has the session, and begin it if it is new."""
     closer.restore(read_records(store, as_before=None if is_new else session.id))
-    while closer.session < session.id:
+    while closer.map.session < session.id:
         closer.begin_session()
     if is_new:
-        store.set_parameters({"model": closer.model_hash})
+        store.set_parameters({"model": closer.map.model_hash})
         store.begin_session(session)
 
 

@@ -29,7 +29,18 @@ from slam_bof.ports import Backend
 from slam_bof.scenes import Model, SceneFilter, SceneFilterParams, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.pose_graph import MapGraph
-from slam_bof.types import Array, Candidate, DepthFrame, Keyframe, KeyframeRecord, Loop, Pose
+from slam_bof.types import (
+    Array,
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    EdgeKind,
+    Keyframe,
+    KeyframeRecord,
+    Loop,
+    Pose,
+)
 
 __all__ = ["KeyframeMap"]
 
@@ -122,6 +133,30 @@ class KeyframeMap:
         return self.keyframes[self.first_keyframe :]
 
     @property
+    def backend(self) -> Backend:
+        """The pose graph's back-end."""
+        return self.graph.backend
+
+    @property
+    def loops(self) -> list[Loop]:
+        """The edges of the graph between keyframes that see the same surfaces."""
+        return self.graph.loops
+
+    @property
+    def loops_left_out(self) -> list[Loop]:
+        """The edges that ``LoopCloser.finish`` found to contradict the others."""
+        return self.graph.left_out
+
+    def poses(self) -> Array:
+        """Return the pose ``T_map_camera`` (K, 4, 4) of every keyframe."""
+        return self.graph.poses()
+
+    @property
+    def n_components(self) -> int:
+        """The number of connected components of the pose graph."""
+        return len(self.graph.components)
+
+    @property
     def components(self) -> NDArray[np.intp]:
         """The component (K,) that each keyframe is in."""
         return self.graph.components.of_keyframes()
@@ -163,7 +198,7 @@ class KeyframeMap:
         self.graph.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
-            proposed = {c.match_id for c in found.candidates if c.decision != "rejected"}
+            proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
             T_map_camera = self.graph.poses()
             covisible = self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
             self._verification.add(frame, points)
@@ -188,7 +223,7 @@ class KeyframeMap:
         self._detector.remember(keyframe, frame, record.candidates)
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
-        loops = [loop for loop in record.measured if loop.kind == "loop"]
+        loops = [loop for loop in record.measured if loop.kind == EdgeKind.LOOP]
         self._verification.admit(loops, self.graph.poses(), self.components)
         self._close(keyframe, record.admitted)
 
@@ -205,7 +240,7 @@ class KeyframeMap:
         self._detector.on_loops_accepted(loops)
         with self._clock.stage("optimize"):
             self.graph.add_loops(loops)
-            self.T_map_track = self.graph.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
+            self.T_map_track = self.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
 
     def _cloud_params(self, frame: DepthFrame) -> PointParams:
         """Return which pixels become points: of those that a saved map keeps."""
@@ -235,11 +270,11 @@ class KeyframeMap:
             Candidate(
                 keyframe.id,
                 match_id,
-                "proximity",
-                "loop"
+                CandidateSource.PROXIMITY,
+                EdgeKind.LOOP
                 if match_id < self.first_keyframe
                 or keyframe.stamp_s - self.keyframes[match_id].stamp_s >= min_age_s
-                else "covisibility",
+                else EdgeKind.COVISIBILITY,
             )
             for match_id in choose_covisible(overlaps, p)
             if match_id not in found

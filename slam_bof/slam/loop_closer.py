@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
 from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
-from slam_bof.loops import LoopCounts
-from slam_bof.ports import Backend
 from slam_bof.slam.config import Config, load, preset
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
@@ -24,9 +22,7 @@ from slam_bof.types import (
     DepthFrame,
     FramePose,
     Intrinsics,
-    Keyframe,
     KeyframeRecord,
-    Loop,
     Pose,
     Step,
     Trajectory,
@@ -147,7 +143,7 @@ class LoopCloser:
         with self._clock.stage("optimize"):
             self._map.graph.optimize()
         own = self._map.of_session
-        poses = self.backend.poses()[self.first_keyframe :] if own else None
+        poses = self._map.poses()[self._map.first_keyframe :] if own else None
         return self.history.trajectory(own, poses)
 
     @one_blas_thread()
@@ -162,7 +158,7 @@ class LoopCloser:
         ValueError
             If this is not a new one.
         """
-        if self.keyframes or len(self.history):
+        if self._map.keyframes or len(self.history):
             raise ValueError("only a new one can go on from a saved map")
         record = None
         for record in records:
@@ -189,59 +185,14 @@ class LoopCloser:
         """
         self._map.begin_session()
         self.history = FrameHistory()
-        segment = self.keyframes[-1].segment + 1 if self.keyframes else 0
+        segment = self._map.keyframes[-1].segment + 1 if self._map.keyframes else 0
         self._tracker = Tracker(self._tracking, seed=self._seed, segment=segment)
         self._selector.reset()
 
     @property
-    def keyframes(self) -> list[Keyframe]:
-        """All keyframes, those of a saved map first."""
-        return self._map.keyframes
-
-    @property
-    def first_keyframe(self) -> int:
-        """The first keyframe of this session."""
-        return self._map.first_keyframe
-
-    @property
-    def session(self) -> int:
-        """How many sessions were before this one."""
-        return self._map.session
-
-    @property
-    def model_hash(self) -> str:
-        """The content hash of the model whose words describe the keyframes."""
-        return self._map.model_hash
-
-    @property
-    def backend(self) -> Backend:
-        """The pose graph."""
-        return self._map.graph.backend
-
-    @property
-    def loops(self) -> list[Loop]:
-        """The graph's edges between keyframes that see the same."""
-        return self._map.graph.loops
-
-    @property
-    def loops_left_out(self) -> list[Loop]:
-        """Those that ``finish`` found to contradict the rest."""
-        return self._map.graph.left_out
-
-    @property
-    def loop_counts(self) -> LoopCounts:
-        """The session's keyframes so far by how far their search for a loop came."""
-        return self._map.loop_counts
-
-    @property
-    def n_components(self) -> int:
-        """Of how many components, which no loop has joined, the map is."""
-        return len(self._map.graph.components)
-
-    @property
-    def components(self) -> NDArray[np.intp]:
-        """The component (K,) that each keyframe is in."""
-        return self._map.components
+    def map(self) -> KeyframeMap:
+        """The keyframes, their graph and their loops; read it, and leave changes to the closer."""
+        return self._map
 
     @property
     def n_odometry_lost(self) -> int:
@@ -294,7 +245,7 @@ class LoopCloser:
             self._tracker.keep()
             step = self._add_keyframe(frame_index, frame, track)
         else:
-            scene = self.keyframes[-1].scene if self.keyframes else None
+            scene = self._map.keyframes[-1].scene if self._map.keyframes else None
             step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
         T_map_camera = self._map.T_map_track @ track.T_odom_camera
         return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
@@ -303,14 +254,14 @@ class LoopCloser:
         """Tell whether the track is found anew; a session's first keyframe begins nothing anew."""
         return (
             not track.is_lost
-            and len(self.keyframes) > self.first_keyframe
-            and self.keyframes[-1].segment != track.segment
+            and len(self._map.keyframes) > self._map.first_keyframe
+            and self._map.keyframes[-1].segment != track.segment
         )
 
     def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
         unsaved = tuple(self.frames_since_keyframe)
         verified = self._map.add(frame_index, frame, track.T_odom_camera, segment=track.segment)
-        keyframe = self.keyframes[-1]
+        keyframe = self._map.keyframes[-1]
         candidates, admitted = tuple(verified.candidates), tuple(verified.admitted)
         if self.journal is not None:
             with self._clock.stage("save"):

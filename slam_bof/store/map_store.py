@@ -45,6 +45,7 @@ from slam_bof.store.sqlite import row_crc, sign
 from slam_bof.types import (
     Array,
     Candidate,
+    CandidateSource,
     DepthFrame,
     FramePose,
     Intrinsics,
@@ -326,7 +327,7 @@ class MapStore(MapFile):
             raise ValueError(f"{self.path}: {key} must stay {row['value']}, got {text}")
 
 
-def _pair(loop: Loop) -> tuple[int, int, str]:
+def _pair(loop: Loop) -> tuple[int, int, CandidateSource]:
     """Return what a loop and its candidate share."""
     return int(loop.query_id), int(loop.match_id), loop.source
 

@@ -18,11 +18,10 @@ from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import INSERT_CANDIDATE, candidate_row, edge_row
 from slam_bof.store.schema import CHECKED, POSE
 from slam_bof.store.sqlite import sign
-from slam_bof.types import Candidate, Loop
+from slam_bof.types import Candidate, CandidateSource, Decision, EdgeKind, Loop
 
 __all__ = ["drop_keyframes", "prune_map", "redundant"]
 
-PRUNED = "pruned"
 """The ``source`` of loops that stand for those of keyframes which are gone."""
 
 REFERENCES = (
@@ -168,9 +167,9 @@ def _tie(store: MapStore, db: sqlite3.Connection, components: NDArray[np.int64])
         apart_m = np.linalg.norm(T_map_camera[older, :3, 3] - T_map_camera[query, :3, 3], axis=1)
         match = int(older[apart_m.argmin()])
         T = se3.inverse(T_map_camera[match]) @ T_map_camera[query]
-        loop = Loop(query, match, T, np.eye(6), "loop", PRUNED)
-        candidate = Candidate(query, match, PRUNED, decision="accepted")
+        loop = Loop(query, match, T, np.eye(6), EdgeKind.LOOP, CandidateSource.PRUNED)
+        candidate = Candidate(query, match, CandidateSource.PRUNED, decision=Decision.ACCEPTED)
         edge = edge_row(loop, loop_id=next_id, admitted_by=query)
         db.execute(INSERT_CANDIDATE, candidate_row(candidate, edge))
         next_id += 1
-    sign(db, "candidates", "source = ?", PRUNED)
+    sign(db, "candidates", "source = ?", CandidateSource.PRUNED)

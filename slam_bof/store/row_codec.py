@@ -17,6 +17,9 @@ from slam_bof.store.schema import BOX, POSE, SMOOTHED
 from slam_bof.types import (
     Bag,
     Candidate,
+    CandidateSource,
+    Decision,
+    EdgeKind,
     FramePose,
     Intrinsics,
     Keyframe,
@@ -201,6 +204,9 @@ def candidate_of(row: Any) -> Candidate:
     """Return the candidate in a row of ``candidates``."""
     values: dict[str, Any] = {name: row[name] for name in CANDIDATE}
     values |= {name: math.nan for name, value in values.items() if value is None}
+    values["source"] = CandidateSource(values["source"])
+    values["kind"] = EdgeKind(values["kind"])
+    values["decision"] = Decision(values["decision"])
     return Candidate(**values)
 
 
@@ -208,7 +214,9 @@ def loop_of(row: Any) -> Loop:
     """Return the edge in a row of ``loops``, or in one of ``candidates`` that has one."""
     information = _array(row["information"], "<f8").reshape(6, 6)
     ids = (row["query_id"], row["match_id"])
-    return Loop(*ids, pose_of(row), information, row["kind"], row["source"])
+    return Loop(
+        *ids, pose_of(row), information, EdgeKind(row["kind"]), CandidateSource(row["source"])
+    )
 
 
 def pose_row(T: Pose) -> list[float]:

@@ -11,7 +11,17 @@ import numpy as np
 
 from slam_bof import evaluation
 from slam_bof.geometry import se3
-from slam_bof.types import Array, Candidate, Keyframe, Loop, Pose, Trajectory
+from slam_bof.types import (
+    Array,
+    Candidate,
+    CandidateSource,
+    Decision,
+    EdgeKind,
+    Keyframe,
+    Loop,
+    Pose,
+    Trajectory,
+)
 from slam_bof.visualization import html_page as page
 
 __all__ = ["ReportData", "write_report"]
@@ -91,7 +101,7 @@ def _sections(data: ReportData) -> Iterator[str]:
     yield _trajectory_section(data, truth)
     if truth is not None:
         yield _error_section(data, truth)
-    considered = [c for c in data.candidates if c.kind == "loop"]
+    considered = [c for c in data.candidates if c.kind == EdgeKind.LOOP]
     if considered:
         yield _candidate_section(data, considered)
     if any(keyframe.scene is not None for keyframe in data.keyframes):
@@ -157,8 +167,8 @@ def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str
     from slam_bof.visualization import figures
 
     stamps_s = np.array([data.keyframes[c.query_id].stamp_s for c in considered])
-    n_accepted = sum(c.decision == "accepted" for c in considered)
-    n_near = sum(c.source == "proximity" for c in considered)
+    n_accepted = sum(c.decision == Decision.ACCEPTED for c in considered)
+    n_near = sum(c.source == CandidateSource.PROXIMITY for c in considered)
     figure = figures.draw_candidates(considered, _since_start(data, stamps_s))
     return page.section(
         "Loop candidates",
@@ -232,7 +242,7 @@ def _links(data: ReportData, truth: Trajectory | None, keyframes: Array) -> dict
     """Return the end points (L, 2, 3) of the edges by kind; loops that are wrong apart."""
     ids = np.array([(loop.match_id, loop.query_id) for loop in data.loops], dtype=np.intp)
     ends = keyframes[ids.reshape(-1, 2)]
-    far = np.array([loop.kind == "loop" for loop in data.loops], dtype=bool)
+    far = np.array([loop.kind == EdgeKind.LOOP for loop in data.loops], dtype=bool)
     wrong = np.zeros(len(far), dtype=bool)
     if truth is not None:
         indices = _frame_indices(data)

@@ -3,7 +3,7 @@ import pytest
 
 from slam_bof import evaluation
 from slam_bof.geometry import se3
-from slam_bof.types import Loop, Pose, Trajectory
+from slam_bof.types import CandidateSource, Loop, Pose, Trajectory
 
 
 def wander(n: int, seed: int = 0) -> Trajectory:
@@ -32,7 +32,7 @@ def without(trajectory: Trajectory, unknown: list[int]) -> Trajectory:
 
 
 def loop(query_id: int, match_id: int, T_match_query: Pose, kind: str = "loop") -> Loop:
-    return Loop(query_id, match_id, T_match_query, np.eye(6), kind, "bag")
+    return Loop(query_id, match_id, T_match_query, np.eye(6), kind, CandidateSource.BAG)
 
 
 def test_associate_pairs_by_time_within_the_limit() -> None:

@@ -98,7 +98,7 @@ def test_clouds_that_show_nothing_at_first_do_no_harm():
     for stamp_s, cloud in enumerate((np.empty((0, 3)), CLOUD[:5], CLOUD, CLOUD)):
         closer.process_points(float(stamp_s), cloud, T)
     np.testing.assert_allclose(closer.finish().poses, [T] * 4, atol=1e-6)
-    assert len(closer.keyframes) == 1
+    assert len(closer.map.keyframes) == 1
 
 
 def test_loops_are_closed_on_a_lidar_tour():
@@ -122,6 +122,6 @@ def test_loops_are_closed_on_a_lidar_tour():
     before = evaluation.ate(Trajectory(stamps_s, np.array(odometry)), reference)
     after = evaluation.ate(found, reference)
     assert n_lost == 0
-    assert sum(loop.kind == "loop" for loop in closer.loops) > 20
+    assert sum(loop.kind == "loop" for loop in closer.map.loops) > 20
     assert before.rmse_m > 0.15
     assert after.rmse_m < 0.04

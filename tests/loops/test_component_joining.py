@@ -5,7 +5,7 @@ import pytest
 
 from slam_bof.geometry import Agreement, se3
 from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoiningParams
-from slam_bof.types import Loop
+from slam_bof.types import CandidateSource, EdgeKind, Loop
 
 N = 12
 PARTS = np.repeat([0, 1], N)
@@ -32,7 +32,7 @@ def walked_down():
 def loop(poses, i, wrong=None):
     """Keyframe 12 + i stands where keyframe i does."""
     T = np.eye(4) if wrong is None else wrong
-    return Loop(N + i, i, T, np.eye(6), "loop", "view")
+    return Loop(N + i, i, T, np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
 
 
 class Compare:
@@ -136,7 +136,10 @@ def test_loops_back_from_the_older_part_bear_witness_as_well(looked_about):
     components = np.repeat([0, 1, 0], N)
     gate = ComponentJoiningGate(ComponentJoiningParams(), Compare())
     there = [loop(looked_about, i) for i in (0, 3)]
-    back = [Loop(2 * N + i, N + i, np.eye(4), np.eye(6), "loop", "view") for i in (6, 9)]
+    back = [
+        Loop(2 * N + i, N + i, np.eye(4), np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
+        for i in (6, 9)
+    ]
     assert admit(gate, [*there, back[0]], poses, components) == []
     assert admit(gate, back[1:], poses, components) == [
         (0, 0),
@@ -151,7 +154,14 @@ def test_one_keyframe_is_one_witness_however_many_it_recognises(looked_about):
     components = np.array([0] * N + [1] * N + [0])
     gate = ComponentJoiningGate(ComponentJoiningParams(), Compare())
     inlier_ratio = [
-        Loop(2 * N, N + i, se3.inverse(looked_about[i]) @ poses[-1], np.eye(6), "loop", "view")
+        Loop(
+            2 * N,
+            N + i,
+            se3.inverse(looked_about[i]) @ poses[-1],
+            np.eye(6),
+            EdgeKind.LOOP,
+            CandidateSource.VIEW,
+        )
         for i in range(N)
     ]
     assert gate.admit(inlier_ratio, poses, components) == []

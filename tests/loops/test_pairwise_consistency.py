@@ -3,7 +3,7 @@ import pytest
 
 from slam_bof.geometry import se3
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams, circuit_errors
-from slam_bof.types import Loop
+from slam_bof.types import CandidateSource, EdgeKind, Loop
 
 
 @pytest.fixture
@@ -17,7 +17,14 @@ def there_and_again():
 def loop(query_id, match_id, wrong=None):
     """A loop of the fixture: keyframe 10 + i stands where keyframe i stood."""
     T = se3.pose(np.eye(3), [0.2 * (query_id - 10 - match_id), 0.0, 0.0])
-    return Loop(query_id, match_id, T if wrong is None else T @ wrong, np.eye(6), "loop", "bag")
+    return Loop(
+        query_id,
+        match_id,
+        T if wrong is None else T @ wrong,
+        np.eye(6),
+        EdgeKind.LOOP,
+        CandidateSource.BAG,
+    )
 
 
 def pairs(loops):

@@ -41,8 +41,10 @@ def store(turn, tmp_path_factory):
         for frame, T in zip(frames, poses, strict=True):
             closer.process(frame, se3.inverse(poses[0]) @ T)
         closer.finish()
-        n = len(closer.keyframes)
-        result = SessionResult(closer.frames_since_keyframe, closer.backend.poses(), [None] * n, [])
+        n = len(closer.map.keyframes)
+        result = SessionResult(
+            closer.frames_since_keyframe, closer.map.backend.poses(), [None] * n, []
+        )
         store.finish(0, result)
         yield store
 

@@ -61,8 +61,8 @@ def three_rounds(look, standpoint, *assignments):
     for k, T in enumerate(poses):
         frame = replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 22))
         closer.process(frame, se3.inverse(poses[0]) @ T)
-    rounds = [k.frame_index // 22 for k in closer.keyframes]
-    return Counter((rounds[loop.query_id], rounds[loop.match_id]) for loop in closer.loops)
+    rounds = [k.frame_index // 22 for k in closer.map.keyframes]
+    return Counter((rounds[loop.query_id], rounds[loop.match_id]) for loop in closer.map.loops)
 
 
 def test_who_stands_where_another_stood_is_not_searched_for(look, standpoint):

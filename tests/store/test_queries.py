@@ -11,7 +11,7 @@ from slam_bof.errors import MapError
 from slam_bof.geometry import se3
 from slam_bof.scenes import Region
 from slam_bof.store import MapStore, SessionResult, query_keyframes, query_loops, query_regions
-from slam_bof.types import Bag, Keyframe, Loop, Scene
+from slam_bof.types import Bag, CandidateSource, EdgeKind, Keyframe, Loop, Scene
 
 CLASSES = ("kitchen", "office")
 PROBABILITIES = [0.9, 0.6, 0.3, 0.1]
@@ -26,10 +26,10 @@ def store(tmp_path: Path) -> Iterator[MapStore]:
             T = se3.pose(np.eye(3), [float(id_), 0.0, 0.0])
             bag = Bag(np.array([id_], np.int32), np.ones(1, np.float32))
             edges = {
-                2: [Loop(2, 0, np.eye(4), np.eye(6), "loop", "bag")],
+                2: [Loop(2, 0, np.eye(4), np.eye(6), EdgeKind.LOOP, CandidateSource.BAG)],
                 3: [
-                    Loop(3, 0, T, np.eye(6), "loop", "proximity"),
-                    Loop(3, 2, T, np.eye(6), "covisibility", "proximity"),
+                    Loop(3, 0, T, np.eye(6), EdgeKind.LOOP, CandidateSource.PROXIMITY),
+                    Loop(3, 2, T, np.eye(6), EdgeKind.COVISIBILITY, CandidateSource.PROXIMITY),
                 ],
             }
             keyframe = Keyframe(id_, 30 * id_, 100.0 + id_, T, bag, scene)

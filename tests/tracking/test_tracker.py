@@ -133,8 +133,8 @@ def test_a_verified_loop_joins_what_was_lost(rounds):
     steps = [closer.process(f, T) for f, T in zip(frames, odometry, strict=True)]
     trajectory = closer.finish()
     assert closer.n_odometry_lost == 1
-    assert closer.n_components == 1
-    assert closer.keyframes[-1].segment == 1
+    assert closer.map.n_components == 1
+    assert closer.map.keyframes[-1].segment == 1
     joined = [loop for step in steps for loop in step.loops if loop.source == "view"]
     assert joined
     off = se3.inverse(se3.inverse(poses[0]) @ poses) @ trajectory.poses
@@ -154,6 +154,6 @@ def test_what_nothing_joins_stays_a_part_of_its_own(look, standpoint):
     for frame, T in zip(frames, odometry, strict=True):
         closer.process(frame, T)
     trajectory = closer.finish()
-    assert closer.n_components == 2
+    assert closer.map.n_components == 2
     assert len(trajectory) == 12
     assert np.isfinite(trajectory.poses).all()
