@@ -11,7 +11,11 @@ from .compression import (
 from .constellation import (
     Constellation as Constellation,
     ConstellationParams as ConstellationParams,
+    PlacedBofs as PlacedBofs,
     describe_constellation as describe_constellation,
+)
+from .constellation_consensus import (
+    Motions as Motions,
 )
 from .constellation_correspondences import (
     MatchingParams as MatchingParams,

@@ -52,12 +52,19 @@ class IndexParams(Params):
 class Found:
     """Views that agree with a query, best first.
 
-    Ids and scores (m,) are of all that were compared, ``motions`` of the best n.
+    Ids, scores and motions (n,) are of all that were compared.
     """
 
     view_ids: NDArray[np.intp]
     scores: NDArray[np.float32]
     motions: Motions
+
+    def first(self, n: int) -> Found:
+        """Return the best ``n``."""
+        motions: tuple[NDArray[Any], ...] = self.motions
+        return Found(
+            self.view_ids[:n], self.scores[:n], Motions(*(column[:n] for column in motions))
+        )
 
 
 class ConstellationIndex:
@@ -116,12 +123,12 @@ class ConstellationIndex:
         )
 
     def find(self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None) -> Found:
-        """Return the views that agree best with a query, with the motions of up to ``n``.
+        """Return the up to ``n`` views that agree best with a query.
 
         ``allowed`` (V,) leaves some out.
         """
         views = self.candidates(query, self.params.n_compared, allowed=allowed)
-        return self.compare(query, views, n)
+        return self.compare(query, views).first(n)
 
     def candidates(
         self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None
@@ -144,8 +151,8 @@ class ConstellationIndex:
         views, votes = count_votes(np.concatenate(cells), worth.astype(np.float32), n)
         return views[votes > 0]
 
-    def compare(self, query: PlacedBofs, views: NDArray[np.intp], n: int) -> Found:
-        """Rank views (m,) by consensus of all their contours; fit the motions of the best n."""
+    def compare(self, query: PlacedBofs, views: NDArray[np.intp]) -> Found:
+        """Rank views (n,) by consensus of all their contours."""
         p = self.params.matching
         starts, stops = self._starts.rows[views], self._starts.rows[views + 1]
         counts = stops - starts
@@ -156,7 +163,7 @@ class ConstellationIndex:
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
         scores = votes.worth / np.maximum(total, np.float32(1e-6))
         best = np.argsort(-scores, kind="stable")
-        return Found(views[best], scores[best], fit_motions(votes, best[:n], p))
+        return Found(views[best], scores[best], fit_motions(votes, best, p))
 
 
 def _shape(bofs: PlacedBofs) -> NDArray[np.float32]:

@@ -81,6 +81,21 @@ class Panorama:
         length = np.linalg.norm(spectrum)
         return np.asarray(spectrum / (length if length > 0 else 1.0)).reshape(self.shape)
 
+    @staticmethod
+    def pack(spectrum: NDArray[np.complex64]) -> NDArray[np.int8]:
+        """Return a spectrum in bytes, (*shape, 2): real and imaginary parts of the largest part."""
+        parts = spectrum[..., None].view(np.float32)
+        largest = np.abs(parts).max()
+        return np.asarray(np.rint(parts * (127 / (largest if largest > 0 else 1.0))), np.int8)
+
+    @staticmethod
+    def unpack(packed: NDArray[np.int8]) -> NDArray[np.complex64]:
+        """Return the spectra (n, *shape), of length 1 again, of packed ones (n, *shape, 2)."""
+        spectra = packed.astype(np.float32).view(np.complex64)[..., 0]
+        lengths = np.sqrt((spectra.real**2 + spectra.imag**2).sum(axis=(1, 2, 3)))
+        spectra *= (1 / np.where(lengths > 0, lengths, 1.0)).astype(np.float32)[:, None, None, None]
+        return spectra
+
     def compare(
         self, spectra: NDArray[np.complex64], query: NDArray[np.complex64]
     ) -> NDArray[np.float32]:

@@ -1,15 +1,13 @@
 """Recognise places from depth alone: which earlier view shows the same surfaces, and from where.
 
-Three steps, each on fewer views than the one before: the BOFs of level contours vote for views and
-motions, the views with most votes are compared contour by contour (``slam_bof.bof``, the
-constellation), and the best of these are aligned and ranked by what both see. Matches of the view
-before are followed by odometry, and aligned as well: where a view shows too little to be found,
-the place is still known from a moment ago.
+BOFs of level contours vote for views and motions, and range panoramas are compared with the views
+that have most votes (``view_index``); the best are aligned, and ranked by what both views see.
+Matches of the view before are followed by odometry, and aligned as well: where a view shows too
+little to be found, the place is still known from a moment ago.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,9 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from slam_bof.bof import (
-    ConstellationIndex,
     ConstellationParams,
-    IndexParams,
     camera_motions,
     describe_constellation,
 )
@@ -35,7 +31,9 @@ from slam_bof.geometry import (
     ViewAligner,
     make_view,
     se3,
+    view_points,
 )
+from slam_bof.places.view_index import ViewIndex, ViewIndexParams
 from slam_bof.types import Array, DepthFrame, Params, Pose
 
 __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
@@ -60,7 +58,7 @@ class RecogniserParams(Params):
     near_m: float = Field(0.3, gt=0, description="which is so far from it")
     near_deg: float = Field(25.0, gt=0, description="and turned by so much")
     constellation: ConstellationParams = ConstellationParams()
-    index: IndexParams = IndexParams()
+    search: ViewIndexParams = ViewIndexParams()
     alignment: AlignmentParams = AlignmentParams()
 
 
@@ -122,8 +120,7 @@ class PlaceRecogniser:
     ) -> None:
         self.params = params or RecogniserParams()
         self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
-        self._index = ConstellationIndex(self.params.index)
-        self._searched: list[int] = []  # views, in the order in which the index holds them
+        self._index = ViewIndex(self.params.search)
         self._R_level_camera = GrowingArray((3, 3), np.float64)
         self._T_odom_camera = GrowingArray((4, 4), np.float64)
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
@@ -179,7 +176,6 @@ class PlaceRecogniser:
 
         So searches cost by how much there is to see, not by how long one has looked.
         """
-        self._searched.pop()
         self._index.pop()
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
@@ -241,18 +237,11 @@ class PlaceRecogniser:
         The score of those that were not compared, left out or deactivated is -1. The view that
         asks must not be deactivated.
         """
-        searched = np.array(self._searched, np.intp)
-        allowed = (searched < n_views) & ~np.isin(searched, [] if but is None else but)
-        query = self._index.bofs(bisect_left(self._searched, view_id))
-        found = self._index.find(query, self.params.n_aligned, allowed=allowed)
-        view_ids = searched[found.view_ids]
-        scores = np.full(max(n_views, 0), -1.0, np.float32)
-        scores[view_ids] = found.scores
-        view_ids = view_ids[: self.params.n_aligned]
+        found = self._index.propose(view_id, n_views, self.params.n_aligned, but=but)
         R = self._R_level_camera.rows
-        moved = camera_motions(found.motions, R[view_id], R[view_ids])
+        moved = camera_motions(found.motions, R[view_id], R[found.view_ids])
         still = np.broadcast_to(np.eye(4), moved.shape)
-        return Shortlist(scores, view_ids, np.stack([moved, still], axis=1))
+        return Shortlist(found.scores, found.view_ids, np.stack([moved, still], axis=1))
 
     @one_blas_thread()
     def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
@@ -296,9 +285,7 @@ class PlaceRecogniser:
         for match in matches:
             T_match_query = match.T_match_query @ T_last_query
             T_odom_query = T_odom_camera[match.view_id] @ T_match_query
-            at = bisect_left(self._searched, match.view_id)
-            last = min(at + around + 1, bisect_left(self._searched, len(shortlist.scores)))
-            for near in self._searched[max(0, at - around) : last]:
+            for near in self._index.around(match.view_id, around, len(shortlist.scores)):
                 leads.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
         ids, starts = shortlist.view_ids, shortlist.starts.copy()
         for k, listed in enumerate(ids):
@@ -316,8 +303,8 @@ class PlaceRecogniser:
         self._aligner.add(make_view(frame))
         self._T_odom_camera.append(T_odom_camera)
         self._R_level_camera.append(described.R_level_camera)
-        self._searched.append(len(self) - 1)
-        self._index.add(described.bofs)
+        points_level = view_points(frame) @ described.R_level_camera.T.astype(np.float32)
+        self._index.add(len(self) - 1, described.bofs, points_level)
         return len(self) - 1
 
     def _score(self, T_match_query: Array, agreement: Array) -> Array:

@@ -67,7 +67,7 @@ def test_what_votes_leave_out_exhaustive_comparison_does_not_find_either(index):
     missed = 0
     for place in range(0, 400, 20):
         query = seen_again(view(place), 0.3, 0.2 + 0.1j, seed=place, share=0.5)
-        everything = index.compare(query, np.arange(400), 1).view_ids[0]
+        everything = index.compare(query, np.arange(400)).view_ids[0]
         missed += index.find(query, 1).view_ids[0] != everything
     assert missed <= 1
 
