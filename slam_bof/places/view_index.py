@@ -26,7 +26,7 @@ __all__ = ["Proposals", "ViewIndex", "ViewIndexParams"]
 class ViewIndexParams(Params):
     """How many views each step looks at, and what the proposers count."""
 
-    n_voted: int = Field(400, gt=0, description="views with most votes, whose panoramas compare")
+    n_voted: int = Field(200, gt=0, description="views with most votes, whose panoramas compare")
     n_compared: int = Field(100, gt=0, description="of these, compared contour by contour")
     constellation_weight: float = Field(3.0, ge=0, description="the panorama's being 1")
     index: IndexParams = IndexParams()
@@ -53,6 +53,7 @@ class ViewIndex:
         self._index = ConstellationIndex(params.index)
         self._panorama = Panorama()
         self._panoramas = GrowingArray((*self._panorama.shape, 2), np.int8)
+        self._steps = GrowingArray((), np.float32)
         self._ids: list[int] = []
 
     @property
@@ -63,7 +64,9 @@ class ViewIndex:
     def add(self, view_id: int, bofs: PlacedBofs, points_level: NDArray[np.float32]) -> None:
         """Hold another view, whose id is above all before, with its points (N, 3)."""
         self._index.add(bofs)
-        self._panoramas.append(self._panorama.pack(self._panorama.spectrum(points_level)))
+        packed, step = self._panorama.pack(self._panorama.spectrum(points_level))
+        self._panoramas.append(packed)
+        self._steps.append(step)
         self._ids.append(view_id)
 
     def pop(self) -> None:
@@ -71,6 +74,7 @@ class ViewIndex:
         self._ids.pop()
         self._index.pop()
         self._panoramas.truncate(len(self._ids))
+        self._steps.truncate(len(self._ids))
 
     def around(self, view_id: int, n: int, below: int) -> list[int]:
         """Return the ids of a view and of ``n`` on either side that are searched, all < below."""
@@ -112,8 +116,6 @@ class ViewIndex:
 
     def _alike(self, rows: NDArray[np.intp], asking: int) -> NDArray[np.float32]:
         """Return the correlation (n,) of the panoramas of rows (n,) with that of another."""
-        packed = self._panoramas.rows
-        spectra = self._panorama.unpack(packed[rows])
-        return self._panorama.compare(
-            spectra, self._panorama.unpack(packed[asking : asking + 1])[0]
-        )
+        packed, steps = self._panoramas.rows, self._steps.rows
+        query = packed[asking].astype(np.float32).view(np.complex64)[..., 0] * steps[asking]
+        return self._panorama.compare(packed[rows], steps[rows], query)
