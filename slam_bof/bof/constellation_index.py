@@ -106,7 +106,8 @@ class ConstellationIndex:
         shape = np.clip(np.floor(_shape(bofs)), 0, N_CELLS - 1).astype(np.int64)
         keys = _first_key(bofs.slices, shape) + rows["mean"]
         views = np.full(len(rows), view_id, np.int32)
-        self._postings.add(Postings(keys.astype(np.int32), views, rows["place"], phases(bofs)))
+        x, z = rows["place"].T
+        self._postings.add(Postings(keys.astype(np.int32), views, x, z, phases(bofs)))
         return view_id
 
     def pop(self) -> None:
@@ -142,8 +143,7 @@ class ConstellationIndex:
             counts = np.searchsorted(postings.keys, high) - begin
             asking = np.repeat(contours, counts)
             rows = np.arange(len(asking)) + np.repeat(begin - (np.cumsum(counts) - counts), counts)
-            phase = postings.phases.reshape(-1)[2 * rows + voters.harmonic[asking]]
-            cells.append(voters.cells(asking, postings.views[rows], postings.places[rows], phase))
+            cells.append(voters.cells(asking, rows, postings))
         # A view of few contours has fewer votes to get.
         worth = 1.0 / np.sqrt(self._totals.rows + np.float32(5.0))
         if allowed is not None:

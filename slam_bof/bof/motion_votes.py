@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
 from slam_bof.bof.constellation_packing import STEPS_PER_M
+from slam_bof.bof.posting_lists import Postings
 
 __all__ = ["MotionVotes", "count_votes", "phases"]
 
@@ -30,7 +31,7 @@ CELL_BITS = 6
 AXIS_BITS = 4
 """16 cells along x and z."""
 MOTION_BITS = 3 + 2 * AXIS_BITS
-NOWHERE = 2**14
+NOWHERE = 2**14 * (1 + 1j)
 """Steps away from anything."""
 NEIGHBOUR = 0.5
 """What a vote in a cell beside counts."""
@@ -49,41 +50,42 @@ class MotionVotes:
         half = N_HARMONICS
         codes = bofs.codes[:, :half] + 1j * bofs.codes[:, half:]
         strength = np.abs(codes[:, HARMONICS]) * HARMONICS
-        self.harmonic = strength.argmax(axis=1)
-        """(C,) which of the two tells the yaw."""
-        self._phase = phases(bofs)[np.arange(len(codes)), self.harmonic]
-        yaw = YAWS[self.harmonic]
-        turned = TURNS[self.harmonic] * (bofs.centroids_m[:, None] - 1j * PIVOT_M) + 1j * PIVOT_M
+        self._harmonic = strength.argmax(axis=1)
+        self._phase = phases(bofs)[np.arange(len(codes)), self._harmonic]
+        yaw = YAWS[self._harmonic]
+        turned = TURNS[self._harmonic] * (bofs.centroids_m[:, None] - 1j * PIVOT_M) + 1j * PIVOT_M
         turned *= STEPS_PER_M
         # Of all 256 differences between two phases: where the contour comes to lie, plus what
         # makes its cell's number of the distance to another.
         middle = 2 ** (AXIS_BITS + CELL_BITS - 1) + 2 ** (CELL_BITS - 1)
-        places = np.stack([turned.real, turned.imag], axis=-1) - middle
-        places[np.abs(yaw) > MAX_YAW_RAD] = NOWHERE
-        self._places = np.rint(places).astype(np.int16).reshape(-1, 2)
+        turned -= middle * (1 + 1j)
+        turned[np.abs(yaw) > MAX_YAW_RAD] = NOWHERE
+        self._x = np.rint(turned.real).astype(np.int16).reshape(-1)
+        self._z = np.rint(turned.imag).astype(np.int16).reshape(-1)
         self._yaw_cells = (np.rint(yaw / YAW_CELL_RAD) + 3).astype(np.int64).reshape(-1)
 
     def cells(
-        self,
-        contours: NDArray[np.intp],
-        views: NDArray[np.integer],
-        places: NDArray[np.int16],
-        phase: NDArray[np.uint8],
+        self, contours: NDArray[np.intp], rows: NDArray[np.intp], postings: Postings
     ) -> NDArray[np.int64]:
         """Return the cell of view and motion of each vote that is for a motion near enough.
 
-        Contours (P,) of the query meet ones of ``views`` (P,) at ``places`` (P, 2), with the
-        ``phase`` (P,) of the query's harmonic.
+        Contours (P,) of the query meet those of ``rows`` (P,) of the postings.
         """
-        turn = contours * 256
-        turn += self._phase[contours] - phase
-        offset = places - self._places[turn]
-        offset >>= CELL_BITS
-        near = np.flatnonzero(((offset >= 0) & (offset < 2**AXIS_BITS)).all(axis=1))
-        cell = views[near].astype(np.int64) << 3
+        turn = self._harmonic[contours]
+        turn += 2 * rows
+        difference = self._phase[contours] - postings.phases.reshape(-1)[turn]
+        np.multiply(contours, 256, out=turn)
+        turn += difference
+        x = postings.x[rows] - self._x[turn]
+        z = postings.z[rows] - self._z[turn]
+        # Of unsigned numbers, those below zero are the largest.
+        wide = 2 ** (AXIS_BITS + CELL_BITS)
+        near = np.flatnonzero((x.view(np.uint16) < wide) & (z.view(np.uint16) < wide))
+        cell = postings.views[rows[near]].astype(np.int64) << 3
         cell |= self._yaw_cells[turn[near]]
-        cell <<= 2 * AXIS_BITS
-        cell |= (offset[near, 0].astype(np.int64) << AXIS_BITS) | offset[near, 1]
+        for along in (x, z):
+            cell <<= AXIS_BITS
+            cell |= along[near] >> CELL_BITS
         return cell
 
 

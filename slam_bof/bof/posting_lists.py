@@ -20,13 +20,14 @@ MERGE_RATIO = 4
 class Postings(NamedTuple):
     """P contours: their key, their view, and what else a vote needs.
 
-    ``places`` (P, 2) int16 are centroids x and z in steps, ``phases`` (P, 2) uint8 those of two
-    harmonics, 256 to the circle.
+    ``x`` and ``z`` are centroids in steps, ``phases`` (P, 2) those of two harmonics, 256 to the
+    circle.
     """
 
     keys: NDArray[np.int32]
     views: NDArray[np.int32]
-    places: NDArray[np.int16]
+    x: NDArray[np.int16]
+    z: NDArray[np.int16]
     phases: NDArray[np.uint8]
 
     def sorted(self) -> Postings:

@@ -126,7 +126,8 @@ def test_lists_hold_all_postings_in_order():
             Postings(
                 keys.astype(np.int32),
                 told[:, 0].astype(np.int32),
-                told.astype(np.int16),
+                told[:, 0].astype(np.int16),
+                told[:, 1].astype(np.int16),
                 told.astype(np.uint8),
             )
         )
@@ -137,4 +138,4 @@ def test_lists_hold_all_postings_in_order():
             np.bincount(views, minlength=100)[: view_id + 1], counts[: view_id + 1]
         )
     assert len(held) < 8
-    assert all((p.views[:, None] == p.places).all() for p in held)
+    assert all((p.views == p.x).all() and (p.x[:, None] == p.phases).all() for p in held)
