@@ -31,8 +31,9 @@ _FLOORS = """
 """
 ROOMS = _FLOORS.split()
 
-# Of no floor: what plug-ins test themselves with, and names that are on their way out.
-APART = {"testing", "deprecated"}
+# Of no floor: what plug-ins test themselves with, names that are on their way out, and
+# ``python -m slam_bof``.
+APART = {"testing", "deprecated", "__main__"}
 
 # What a plug-in may know of slam_bof: its records, its helpers, and how depth becomes points,
 # views and descriptors.

@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -105,16 +105,6 @@ class DepthImages:
         grow = all(a < b for a, b in itertools.pairwise(values))
         self._stamps_s = np.array(values if grow else range(len(files))) / FRAMES_PER_S
         self.intrinsics = self.frame(0).intrinsics
-
-    @classmethod
-    def recognises(cls, path: Path) -> bool:
-        """Tell whether this is an image file."""
-        return path.is_file() and is_image(path)
-
-    @classmethod
-    def open(cls, path: Path) -> Self:
-        """Open a single image."""
-        return cls([path])
 
     def __len__(self) -> int:
         """Return the number of images."""

@@ -1,4 +1,4 @@
-"""A saved map written for other programs."""
+"""Export of a saved map to the file formats of other programs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,12 @@ import numpy as np
 from slam_bof.errors import MapError
 from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps.g2o import write_g2o
-from slam_bof.maps.occupancy_grid import OccupancyParams, make_grid, write_grid
-from slam_bof.maps.point_cloud import write_views
+from slam_bof.maps.occupancy_grid import (
+    OccupancyGridParams,
+    build_occupancy_grid,
+    write_occupancy_grid,
+)
+from slam_bof.maps.point_cloud import write_keyframe_cloud
 from slam_bof.slam import FrameHistory, config as configs
 from slam_bof.store import MapStore, query_keyframes
 from slam_bof.types import DepthFrame, Trajectory
@@ -32,34 +36,41 @@ def export_map(
     session: int | None = None,
     all_frames: bool = False,
     voxel_size_m: float = 0.02,
-    occupancy: OccupancyParams | None = None,
+    occupancy: OccupancyGridParams | None = None,
 ) -> int:
-    """Write a map; return how many poses (tum, kitti), rows, keyframes or points that are.
+    """Export a map to a file.
 
     Parameters
     ----------
     store, path, format_
-        The map, the file, and what it is: poses of the keyframes (``tum``, ``kitti``), these with
-        their labels (``csv``), the pose graph (``g2o``), a cloud (``ply``), or a plan of ROS's
-        map_server (``occupancy``, YAML, with a PNG beside it).
+        The map, the file to write, and its content: poses of the keyframes (``tum``, ``kitti``),
+        poses and labels (``csv``), the pose graph (``g2o``), a point cloud (``ply``), or an
+        occupancy grid for ROS's map_server (``occupancy``: YAML, with a PNG beside it).
     session
-        Only its keyframes; a graph is of all.
+        Export only the keyframes of this session; a pose graph always has all.
     all_frames
-        Of poses: every frame of the session, not only keyframes; of the only one without a number.
-    voxel_size_m, occupancy
-        Of the cloud, and of the plan.
+        With ``tum`` or ``kitti``: every frame of the session, not only its keyframes. ``session``
+        may be left out if the map has only one.
+    voxel_size_m
+        With ``ply``: side of the voxels; one point is kept in each.
+    occupancy
+        With ``occupancy``: parameters of the grid.
+
+    Returns
+    -------
+    int
+        Number of poses, rows, keyframes or points written.
 
     Raises
     ------
     MapError
-        If the map is not finished, there is no such session, stamps of several do not grow, or
-        it has no depth images where these are asked for.
+        If the map is not finished, there is no such session, the time stamps of several sessions
+        do not increase, or depth images are needed and the map has none.
     """
     keyframes, poses = store.keyframes(), store.map_poses()
-    if session is not None and session not in {s.id for s in store.sessions()}:
-        raise MapError(
-            f"{store.path}: found no session {session}, expected one of {len(store.sessions())}"
-        )
+    n_sessions = len(store.sessions())
+    if session is not None and session >= n_sessions:
+        raise MapError(f"{store.path}: found no session {session}, expected 0 to {n_sessions - 1}")
     own = [k.id for k in keyframes if session in (None, k.session)]
     if format_ == "csv":
         return _write_csv(store, path, set(own))
@@ -77,13 +88,13 @@ def export_map(
         return len(keyframes)
     views = _views(store, own)
     if format_ == "ply":
-        return write_views(path, views, poses[own], voxel_size_m=voxel_size_m)
-    write_grid(path, make_grid(views, poses[own], occupancy))
+        return write_keyframe_cloud(path, views, poses[own], voxel_size_m=voxel_size_m)
+    write_occupancy_grid(path, build_occupancy_grid(views, poses[own], occupancy))
     return len(own)
 
 
 def session_trajectory(store: MapStore, session: int) -> Trajectory:
-    """Return T_map_camera of every frame of a session, as the map has them now."""
+    """Return T_map_camera of every frame of a session, at the map's present poses."""
     own = [k for k in store.keyframes() if k.session == session]
     poses = store.map_poses()[[k.id for k in own]]
     return FrameHistory(store.frames(session)).trajectory(own, poses)
@@ -109,8 +120,8 @@ def _write_poses(
         trajectory = Trajectory(stamps_s, poses[ids].reshape(-1, 4, 4))
     if several and (all_frames or (format_ == "tum" and (np.diff(trajectory.stamps_s) <= 0).any())):
         raise MapError(
-            f"{store.path}: found {len(store.sessions())} sessions, each with a time of its own, "
-            "expected one of them: --session"
+            f"{store.path}: found {len(store.sessions())} sessions, whose time stamps overlap, "
+            "expected a choice of one: --session"
         )
     known = np.isfinite(trajectory.poses).all(axis=(1, 2))
     trajectory = Trajectory(trajectory.stamps_s[known], trajectory.poses[known])
@@ -120,7 +131,8 @@ def _write_poses(
 
 def _interrupted(store: MapStore) -> MapError:
     return MapError(
-        f"{store.path}: found poses of an interrupted run, expected a finished one: resume it"
+        f"{store.path}: found an interrupted run without optimised poses, expected a finished "
+        "one: resume it first"
     )
 
 
@@ -139,12 +151,11 @@ def _write_csv(store: MapStore, path: Path, ids: set[int]) -> int:
     records = [record for record in query_keyframes(store) if record.id in ids]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
-        names = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-        smoothed = ("smoothed", "smoothed_probability", "region")
-        own = ("id", "frame_index", "stamp_s", "scene", "probability")
-        table.writerow((*own, *names, *smoothed))
+        head = ("id", "frame_index", "stamp_s", "scene", "probability")
+        pose = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
+        table.writerow((*head, *pose, "smoothed", "smoothed_probability", "region"))
         for r in records:
-            own_label = (r.id, r.frame_index, r.stamp_s, r.scene, r.scene_probability)
-            around = (r.smoothed, r.smoothed_probability, r.region)
-            table.writerow((*own_label, *r.translation_m, *r.quaternion_xyzw, *around))
+            head_values = (r.id, r.frame_index, r.stamp_s, r.scene, r.scene_probability)
+            tail_values = (r.smoothed, r.smoothed_probability, r.region)
+            table.writerow((*head_values, *r.translation_m, *r.quaternion_xyzw, *tail_values))
     return len(records)

@@ -14,7 +14,7 @@ from slam_bof.types import Array, Keyframe, Loop, Pose
 __all__ = ["write_g2o"]
 
 TRANSLATION_FIRST = [3, 4, 5, 0, 1, 2]
-"""Our tangents have the rotation first."""
+"""Reorders a tangent with the rotation first, as used here, to the order of g2o."""
 
 
 def write_g2o(
@@ -26,10 +26,10 @@ def write_g2o(
     odometry_sigma_rad: float,
     odometry_sigma_m: float,
 ) -> None:
-    """Write keyframes at their poses in the map (K, 4, 4), and what ties them.
+    """Write a pose graph: keyframes at their poses in the map (K, 4, 4), odometry and loops.
 
-    Odometry's edges are between neighbours of one segment; between segments it says nothing.
-    Loops have their information as it was measured.
+    Odometry edges join successive keyframes of one segment, with the standard deviations given.
+    Loop edges have the information that verification measured.
     """
     sigmas = np.repeat([odometry_sigma_rad, odometry_sigma_m], 3)
     odometry = np.diag(1.0 / sigmas**2)

@@ -7,6 +7,10 @@ from .config import (
     PluginChoice as PluginChoice,
     preset as preset,
 )
+from .config_comments import (
+    describe_parameters as describe_parameters,
+    dump_with_comments as dump_with_comments,
+)
 from .frame_history import (
     FrameHistory as FrameHistory,
 )

@@ -13,7 +13,7 @@ from slam_bof.core import describe_error, registry, suggest
 from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
-from slam_bof.scenes import RegionParams, SceneFilterParams
+from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
 from slam_bof.types import Params
 
@@ -68,6 +68,12 @@ RENAMED_KEYS = {
     "component_joining.n_compared": "n_pairs",
     "component_joining.max_blocking": "max_free_space_violation",
     "options.max_blocking": "max_free_space_violation",
+    "labels.stay_s": "mean_stay_s",
+    "labels.stay_m": "mean_stay_m",
+    "labels.evidence": "evidence_exponent",
+    "labels.smoothing_evidence": "smoothing_evidence_exponent",
+    "labels.ahead_m": "look_ahead_m",
+    "regions": "rooms",
 }
 """Keys of earlier versions by the end of their path, and their names today."""
 
@@ -77,36 +83,48 @@ class PluginChoice(Params):
 
     given_whole: ClassVar[bool] = True  # options of one plug-in are none of another's
 
-    name: str
-    options: dict[str, Any] = Field(default_factory=dict)
+    name: str = Field(description="Name of the plug-in, as slam-bof plugins lists it.")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="Options of this plug-in; others have other options."
+    )
 
 
 class Config(Params):
     """Everything that, with a sequence, determines a run."""
 
-    model: str = Field("default", description="the model that comes along, or a file")
-    seed: int = Field(0, ge=0)
-    dataset: PluginChoice = Field(
-        PluginChoice(name="auto"), description="a data-set plug-in; auto looks at the folder"
+    model: str = Field(
+        "default", description='Model file, or "default" for the one in the package.'
     )
-    odometry: PluginChoice = PluginChoice(name="kiss-icp")
-    verifier: PluginChoice = PluginChoice(name="projective")
-    backend: PluginChoice = PluginChoice(name="gtsam")
+    seed: int = Field(0, ge=0, description="Seed of everything random in a run.")
+    dataset: PluginChoice = Field(
+        PluginChoice(name="auto"),
+        description="Plug-in that reads the sequence; auto recognises the layout of the folder.",
+    )
+    odometry: PluginChoice = Field(
+        PluginChoice(name="kiss-icp"), description="Plug-in that estimates odometry."
+    )
+    verifier: PluginChoice = Field(
+        PluginChoice(name="projective"),
+        description="Plug-in that registers the two keyframes of a loop candidate.",
+    )
+    backend: PluginChoice = Field(
+        PluginChoice(name="gtsam"), description="Plug-in that optimises the pose graph."
+    )
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()
-    regions: RegionParams = RegionParams()
+    rooms: RoomSegmentationParams = RoomSegmentationParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()
     gravity_odom: tuple[float, float, float] = Field(
         (0.0, 1.0, 0.0),
-        description="down in the odometry's frame, for a model with layers along gravity; "
-        "by default the first camera is taken as level",
+        description="Direction of gravity in the odometry frame. The default is right if the "
+        "first camera is level.",
     )
     cloud: PointParams = Field(
         PointParams(stride=4, max_range_m=4.0),
-        description="what proximity and verifiers of clouds see",
+        description="Point clouds for proximity candidates and for verifiers of point clouds.",
     )
 
     @field_validator("dataset", "odometry", "verifier", "backend", mode="before")

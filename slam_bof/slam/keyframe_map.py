@@ -99,7 +99,7 @@ class KeyframeMap:
     @classmethod
     def from_config(cls, config: Config, clock: StageClock) -> Self:
         """Build one as a configuration says."""
-        model = models.load_default() if config.model == "default" else models.load(config.model)
+        model = models.resolve(config.model)
         detector = LoopDetector(
             config.loops,
             model.vocabulary.n_words,

@@ -148,7 +148,7 @@ class LoopCloser:
 
     @one_blas_thread()
     def restore(self, records: Iterable[KeyframeRecord]) -> None:
-        """Go on from a saved map (``read_records``), right after its newest keyframe.
+        """Go on from a saved map (``replay_keyframes``), right after its newest keyframe.
 
         The next frame is the one after it, of the same odometry; where it is not, call
         ``begin_session`` first. What follows is the same as if nothing had come in between.

@@ -12,7 +12,7 @@ __all__ = ["components_of"]
 
 
 def components_of(store: MapStore) -> NDArray[np.int64]:
-    """Return the component (K,) that each keyframe is in, by the loops of the graph."""
+    """Return the component (K,) of each keyframe, as the loops of the graph connect them."""
     components = MapComponents()
     for keyframe in store.keyframes():
         components.add(keyframe.segment)

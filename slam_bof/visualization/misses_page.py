@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slam_bof.ports import Dataset
 from slam_bof.visualization.html_page import fill, section
 
-__all__ = ["Miss", "Missed", "find_misses", "write_misses"]
+__all__ = ["Miss", "Missed", "find_missed_queries", "write_missed_queries"]
 
 MAX_SHOWN = 24
 """Misses of a method that are drawn, spread over all."""
@@ -47,7 +47,7 @@ class Missed:
     misses: Sequence[Miss]
 
 
-def find_misses(
+def find_missed_queries(
     scores: NDArray[np.floating], truth: NDArray[np.bool_], allowed: NDArray[np.bool_]
 ) -> tuple[int, list[Miss]]:
     """Return how many queries have a right answer, and those that got a wrong one.
@@ -56,7 +56,7 @@ def find_misses(
 
     >>> scores = np.array([[0, 0, 0], [0.9, 0, 0], [0.5, 0.8, 0]])
     >>> truth = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0]], bool)
-    >>> find_misses(scores, truth, np.tri(3, k=-1, dtype=bool))
+    >>> find_missed_queries(scores, truth, np.tri(3, k=-1, dtype=bool))
     (2, [Miss(query=2, answer=1, right=0, rank=2)])
     """
     truth = truth & allowed
@@ -71,7 +71,7 @@ def find_misses(
     return len(asked), misses
 
 
-def write_misses(path: Path, missed: Sequence[Missed]) -> None:
+def write_missed_queries(path: Path, missed: Sequence[Missed]) -> None:
     """Write a page with, for each miss, the query, what was answered, and what was right."""
     body = "".join(_sections(of) for of in missed)
     sequences = ", ".join(dict.fromkeys(of.dataset.sequence for of in missed))

@@ -13,8 +13,8 @@ from saved_maps import make_keyframe, save
 from slam_bof import LoopCloser
 from slam_bof.errors import MapError
 from slam_bof.geometry import read_tum, se3
-from slam_bof.maps import OccupancyParams, export_map, session_trajectory
-from slam_bof.maps.occupancy_grid import FREE, OCCUPIED, UNKNOWN, make_grid
+from slam_bof.maps import OccupancyGridParams, export_map, session_trajectory
+from slam_bof.maps.occupancy_grid import FREE, OCCUPIED, UNKNOWN, build_occupancy_grid
 from slam_bof.store import MapStore, Session, SessionResult
 
 
@@ -89,7 +89,7 @@ def test_every_frame_and_every_keyframe(store, tmp_path):
     found = read_tum(tmp_path / "frames.txt")
     assert n == len(found) == len(store.frames(0))
     np.testing.assert_allclose(found.poses, session_trajectory(store, 0).poses, atol=1e-9)
-    with pytest.raises(MapError, match="found no session 3, expected one of 1"):
+    with pytest.raises(MapError, match="found no session 3, expected 0 to 0"):
         export_map(store, tmp_path / "none.txt", "tum", session=3)
 
 
@@ -112,7 +112,7 @@ def test_the_plan_is_as_map_server_has_it(store, turn, room, tmp_path):
 def test_the_plan_agrees_with_the_room(turn, room):
     """What is free in the plan has nothing between knee and head in the room."""
     frames, poses = turn
-    grid = make_grid(frames, poses, OccupancyParams(), gravity_map=(0.0, 0.0, -1.0))
+    grid = build_occupancy_grid(frames, poses, OccupancyGridParams(), gravity_map=(0.0, 0.0, -1.0))
     assert grid.floor_seen
     T_map_plan = se3.inverse(grid.T_plan_map)
     rows, columns = np.indices(grid.cells.shape)
@@ -133,10 +133,10 @@ def test_what_cannot_be_exported_is_named(tmp_path):
     with MapStore.create(tmp_path / "map.db") as store:
         save(store, make_keyframe(0))
         for format_ in ("tum", "g2o", "ply", "occupancy"):
-            with pytest.raises(MapError, match="an interrupted run, expected a finished one"):
+            with pytest.raises(MapError, match="an interrupted run without optimised poses"):
                 export_map(store, tmp_path / "out", format_)
     with pytest.raises(MapError, match="found no surface in 0 keyframes"):
-        make_grid([], np.empty((0, 4, 4)))
+        build_occupancy_grid([], np.empty((0, 4, 4)))
 
 
 def test_sessions_with_a_time_of_their_own_are_exported_one_by_one(tmp_path):
@@ -147,7 +147,7 @@ def test_sessions_with_a_time_of_their_own_are_exported_one_by_one(tmp_path):
         for session in (0, 1):
             store.finish(session, SessionResult([], np.tile(np.eye(4), (4, 1, 1)), [None] * 4, []))
         for all_frames in (False, True):
-            with pytest.raises(MapError, match="found 2 sessions, each with a time of its own"):
+            with pytest.raises(MapError, match="found 2 sessions, whose time stamps overlap"):
                 export_map(store, tmp_path / "out", "tum", all_frames=all_frames)
             assert export_map(store, tmp_path / "out", "tum", session=1, all_frames=all_frames) == 2
         assert export_map(store, tmp_path / "out", "kitti") == 4

@@ -253,7 +253,7 @@ def test_where_odometry_was_lost_is_told(tmp_path):
     assert finished.metrics["n_odometry_lost"] == 1
     log = (finished.folder / "run.log").read_text()
     assert "frame 12: odometry lost" in log
-    assert "frame 16: odometry found" in log
+    assert "frame 16: odometry recovered" in log
     with sqlite3.connect(finished.folder / "map.db") as db:
         frames = [row[0] for row in db.execute("SELECT frame_index FROM keyframes")]
     assert not set(frames) & set(range(12, 16))

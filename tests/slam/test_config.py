@@ -194,4 +194,4 @@ def test_a_saved_configuration_of_an_earlier_version_is_read_by_its_new_names():
 def test_every_renamed_key_exists_under_its_new_name():
     dumped = config.dump(config.complete(config.preset("indoor")))
     for name in config.RENAMED_KEYS.values():
-        assert f" {name}:" in dumped, name
+        assert re.search(rf"^ *{name}:", dumped, re.MULTILINE), name

@@ -18,8 +18,8 @@ from saved_maps import (
 )
 
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
-from slam_bof.store import MapStore, Session, SessionResult, read_records
+from slam_bof.scenes import MapRoom
+from slam_bof.store import MapStore, Session, SessionResult, replay_keyframes
 from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
 
@@ -130,7 +130,7 @@ def test_records_are_what_was_written(path: Path) -> None:
         store.begin_session(Session(0, "7scenes", "room/seq-01", "", 0, "1.0"))
         for record in records:
             store.write(record)
-        found = list(read_records(store))
+        found = list(replay_keyframes(store))
     for record, back in zip(records, found, strict=True):
         np.testing.assert_array_equal(back.keyframe.T_odom_camera, record.keyframe.T_odom_camera)
         np.testing.assert_array_equal(back.depth.depth, record.depth.depth)
@@ -225,7 +225,7 @@ def test_the_views_are_readable(filled: MapStore) -> None:
 def test_smoothed_labels_and_rooms(path: Path) -> None:
     kitchen = Scene("kitchen", 0.7, CLASSES, np.array([0.7, 0.3]))
     unsure = Scene("unknown", 0.5, CLASSES, np.array([0.5, 0.5]))
-    region = Region(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
+    region = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
     with MapStore.create(path) as store:
         save(store, replace(make_keyframe(0), smoothed=unsure))
         save(store, make_keyframe(1))
