@@ -27,7 +27,7 @@ class ViewIndexParams(Params):
     """How many views each step looks at, and what the proposers count."""
 
     n_voted: int = Field(200, gt=0, description="views with most votes, whose panoramas compare")
-    n_compared: int = Field(100, gt=0, description="of these, compared contour by contour")
+    n_compared: int = Field(50, gt=0, description="of these, compared contour by contour")
     constellation_weight: float = Field(3.0, ge=0, description="the panorama's being 1")
     index: IndexParams = IndexParams()
 
