@@ -107,7 +107,7 @@ class PlaceRecogniser:
     >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
     ...     view_id = recogniser.add(frame, T_odom_camera)
     ...     for match in recogniser.recognise(view_id, view_id - 20)[:1]:  # the best, of old ones
-    ...         print(match.view_id, match.seen, match.T_match_query)
+    ...         print(match.view_id, match.inlier_ratio, match.T_match_query)
     """
 
     def __init__(
