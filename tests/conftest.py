@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import runpy
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -112,3 +114,12 @@ def write_turn(room: Room, standpoint: tuple[float, float]) -> Callable[..., Non
         write_sequence(folder, scene, poses)
 
     return write
+
+
+@pytest.fixture(scope="module")
+def load_script():
+    """Load a script of the folder by name, with the modules that the scripts share."""
+    scripts = ROOT / "scripts"
+    sys.path.insert(0, str(scripts))
+    yield lambda name: runpy.run_path(str(scripts / name))
+    sys.path.remove(str(scripts))

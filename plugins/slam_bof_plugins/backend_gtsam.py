@@ -35,16 +35,35 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 class GtsamParams(Params):
     """Noise of the odometry per step between keyframes, and of an average loop."""
 
-    odometry_sigma_rad: float = Field(0.05, gt=0)
-    odometry_sigma_m: float = Field(0.05, gt=0)
-    loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
-    cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
-    tolerance: float = Field(
-        0.01, ge=0, description="rad and m by which loops may contradict the map while frames come"
+    odometry_sigma_rad: float = Field(
+        0.05, gt=0, description="Standard deviation of odometry between keyframes, in rotation."
     )
-    n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
-    max_iterations: int = Field(50, gt=0)
-    select_loops: bool = Field(True, description="leave out, at the end, what contradicts the rest")
+    odometry_sigma_m: float = Field(
+        0.05, gt=0, description="Standard deviation of odometry between keyframes, in translation."
+    )
+    loop_sigma: float = Field(
+        0.01,
+        gt=0,
+        description="Standard deviation of loops, the mean over the six axes, in rad and m.",
+    )
+    cauchy: float = Field(
+        1.0, gt=0, description="Scale of the Cauchy robust kernel, in standard deviations."
+    )
+    tolerance: float = Field(
+        0.01,
+        ge=0,
+        description="Disagreement of a loop with the map that is tolerated while frames arrive, "
+        "in rad and m.",
+    )
+    n_updates: int = Field(3, gt=0, description="Number of iSAM2 updates after a loop.")
+    max_iterations: int = Field(
+        50, gt=0, description="Largest number of iterations of the final optimisation."
+    )
+    select_loops: bool = Field(
+        True,
+        description="Whether the final optimisation leaves out loops that are inconsistent with "
+        "the others.",
+    )
     selection: SelectionParams = SelectionParams()
 
 
@@ -67,6 +86,7 @@ class GtsamBackend:
         self._segments: list[int] = []
         self._held = DisjointSet()
         self._has_new_loop = False
+        self._is_optimized = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
             np.repeat([p.odometry_sigma_rad, p.odometry_sigma_m], 3)
@@ -74,7 +94,12 @@ class GtsamBackend:
         self._lost_noise = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
-        """Add a node where the odometry puts it, tied to the node before it."""
+        """Add a node where the odometry puts it, tied to the node before it.
+
+        After ``optimize``, the graph goes on from its optimum, without the loops left out.
+        """
+        if self._is_optimized:
+            self._start_afresh(gtsam.ISAM2Params())
         key = len(self._T_odom_camera)
         factor: gtsam.NonlinearFactor
         if key == 0:
@@ -159,6 +184,7 @@ class GtsamBackend:
         for loop in self._kept():
             graph.add(self._robust(*loop))
         self._estimate = optimized(graph, self._estimate, p.max_iterations)
+        self._is_optimized = True
         return self._weights
 
     def poses(self) -> Array:
@@ -177,9 +203,10 @@ class GtsamBackend:
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
+        self._is_optimized = False
         self._isam = gtsam.ISAM2(params)
         self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
-        for loop in self._loops:
+        for loop in self._kept():
             self._new_factors.add(self._robust(*loop))
         self._new_values = gtsam.Values(self._estimate)
 

@@ -52,7 +52,7 @@ class InvertedIndex:
         for word, weight in zip(bag.words.tolist(), bag.weights, strict=True):
             postings = self._postings.get(word)
             if postings is not None:
-                # Of the ways to scatter, the one that takes 32-bit ids as they are.
+                # This way to scatter takes 32-bit ids without a conversion.
                 np.add.at(scores, postings.ids.rows, np.minimum(postings.weights.rows, weight))
         return np.minimum(scores, np.float32(1.0), out=scores)
 

@@ -47,18 +47,18 @@ def places(
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.core import registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
-    from slam_bof.visualization import Missed, find_missed_queries, write_missed_queries
+    from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
 
     names = [RECOGNISER, *registry.names("descriptors")]
     chosen = names if descriptors == "all" else [name.strip() for name in descriptors.split(",")]
     for name in chosen:
         if name != RECOGNISER:
             registry.load("descriptors", name)
-    missed: list[Missed] = []
+    missed: list[MissedQueries] = []
 
     def collect_misses(queries: PlaceQueries, scores: MethodScores) -> None:
         found = find_missed_queries(scores.scores, queries.relevant["overlap"], queries.allowed)
-        missed.append(Missed(scores.method, queries.dataset, queries.indices, *found))
+        missed.append(MissedQueries(scores.method, queries.dataset, queries.indices, *found))
 
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(

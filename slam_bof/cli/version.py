@@ -11,13 +11,15 @@ __all__ = ["print_version", "version"]
 
 def version(as_json: JSON = False) -> None:
     """Print the version of slam_bof."""
-    import slam_bof
+    from importlib import metadata
+
     from slam_bof.cli.console import print_json
 
+    number = metadata.version("slam-bof")
     if as_json:
-        print_json({"version": slam_bof.__version__})
+        print_json({"version": number})
     else:
-        typer.echo(f"slam-bof {slam_bof.__version__}")
+        typer.echo(f"slam-bof {number}")
 
 
 def print_version(is_asked: bool) -> None:

@@ -65,28 +65,52 @@ class ComponentJoiningGate:
         ``T_map_camera`` (K, 4, 4) are the keyframes' poses, each component in a frame of its own,
         and ``components`` (K,) the component of each.
         """
-        p = self.params
         self._pending = [
             loop for loop in self._pending if components[loop.query_id] != components[loop.match_id]
         ]
+        self._pending += loops
+        admitted: list[Loop] = []
+        joined: set[frozenset[int]] = set()
         for loop in loops:
-            oriented = _from_younger(loop, components)
-            between = components[oriented.query_id], components[oriented.match_id]
-            self._pending.append(loop)
-            supporters = [_from_younger(other, components) for other in self._pending]
-            agreed = agree(oriented, supporters, T_map_camera, p.max_distance_m, p.max_angle_rad)
-            agreed &= [
-                (components[w.query_id], components[w.match_id]) == between for w in supporters
-            ]
-            agreeing = list(itertools.compress(self._pending, agreed))
-            if (
-                len({other.query_id for other in agreeing}) >= p.n_required
-                and self._has_looked_about(itertools.compress(supporters, agreed), T_map_camera)
-                and self._is_free(oriented, T_map_camera, components)
-            ):
-                self._pending = [other for other in self._pending if other not in agreeing]
-                return agreeing
-        return []
+            pair = _pair(loop, components)
+            if pair in joined:
+                continue  # this loop either agrees, and is admitted, or contradicts the join
+            agreeing = self._agreeing(loop, T_map_camera, components)
+            if self._is_enough(loop, agreeing, T_map_camera, components):
+                joined.add(pair)
+                admitted += agreeing
+        self._pending = [loop for loop in self._pending if loop not in admitted]
+        return admitted
+
+    def _agreeing(
+        self, loop: Loop, T_map_camera: Array, components: NDArray[np.integer[Any]]
+    ) -> list[Loop]:
+        """Return the loops, this one among them, that place its two components as it does."""
+        p, pair = self.params, _pair(loop, components)
+        others = [other for other in self._pending if _pair(other, components) == pair]
+        agreed = agree(
+            _from_younger(loop, components),
+            [_from_younger(other, components) for other in others],
+            T_map_camera,
+            p.max_distance_m,
+            p.max_angle_rad,
+        )
+        return list(itertools.compress(others, agreed))
+
+    def _is_enough(
+        self,
+        loop: Loop,
+        agreeing: list[Loop],
+        T_map_camera: Array,
+        components: NDArray[np.integer[Any]],
+    ) -> bool:
+        """Return whether loops that agree are enough to join their two components."""
+        oriented = [_from_younger(other, components) for other in agreeing]
+        return (
+            len({other.query_id for other in agreeing}) >= self.params.n_required
+            and self._has_looked_about(oriented, T_map_camera)
+            and self._is_free(_from_younger(loop, components), T_map_camera, components)
+        )
 
     def _has_looked_about(self, loops: Iterable[Loop], T_map_camera: Array) -> bool:
         """Return whether the loops see the place from different directions or positions.
@@ -137,6 +161,11 @@ class ComponentJoiningGate:
             free_space_violation += float(found.free_space_violation.sum())
             visible_ratio += float(found.visible_ratio.sum())
         return free_space_violation <= p.max_free_space_violation * visible_ratio
+
+
+def _pair(loop: Loop, components: NDArray[np.integer[Any]]) -> frozenset[int]:
+    """Return the two components that a loop is between."""
+    return frozenset((int(components[loop.query_id]), int(components[loop.match_id])))
 
 
 def _from_younger(loop: Loop, components: NDArray[np.integer[Any]]) -> Loop:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +46,14 @@ class ConsistencyGate:
         self.params = params
         self._recent: list[_Held] = []
 
-    def admit(self, loops: list[Loop], T_map_camera: Array) -> list[Loop]:
+    def admit(
+        self, loops: list[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
+    ) -> list[Loop]:
         """Take the verified loops of one keyframe; return those admitted now, old ones too.
 
-        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far.
+        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far, and ``components``
+        (K,) the component of each: each loop lies within one component, and only loops within the
+        same one can agree, as the pose between two components is arbitrary.
         """
         p = self.params
         if p.n_required == 0:
@@ -57,9 +62,11 @@ class ConsistencyGate:
         newest = len(T_map_camera) - 1
         self._recent = [old for old in self._recent if newest - old.loop.query_id <= p.window]
         recent = [old.loop for old in self._recent]
+        query_ids = np.array([loop.query_id for loop in recent], np.intp)
         new = [_Held(loop) for loop in loops]
         for one in new:
             agreed = agree(one.loop, recent, T_map_camera, p.max_distance_m, p.max_angle_rad)
+            agreed &= components[query_ids] == components[one.loop.query_id]
             for other in itertools.compress(self._recent, agreed):
                 admitted += self._add_supporter(other, one.loop.query_id)
                 admitted += self._add_supporter(one, other.loop.query_id)

@@ -157,7 +157,7 @@ class LoopVerification:
         """Take the newest keyframe's verified loops; return those that others agree with now."""
         within = [loop for loop in loops if components[loop.query_id] == components[loop.match_id]]
         between = [loop for loop in loops if components[loop.query_id] != components[loop.match_id]]
-        admitted = self._gate.admit(within, T_map_camera)
+        admitted = self._gate.admit(within, T_map_camera, components)
         return admitted + self._join_gate.admit(between, T_map_camera, components)
 
     def _align(

@@ -29,7 +29,7 @@ def frame_groups(frames: Sequence[LabelledFrame]) -> list[str]:
 def cut_segments(labels: Sequence[str], sequences: Sequence[str]) -> list[str]:
     """Group frames by sequence, and cut sequences into segments where a class has few of them.
 
-    Neighbouring frames look alike, so a fold that splits them measures memory, not learning.
+    Neighbouring frames are similar, so a fold that splits them overestimates the accuracy.
 
     Parameters
     ----------

@@ -3,7 +3,7 @@
 The hidden state is the scene that the camera is in. From one keyframe to the next it changes with
 a probability that grows with the time and the distance between them; all other scenes are then
 equally likely. A keyframe's likelihood is the classifier's probability to a power below 1, since
-neighbouring keyframes look alike and their errors are correlated.
+neighbouring keyframes are similar and their errors are correlated.
 
 A keyframe shows what lies ahead of the camera, so a walking camera sees the next room early. The
 filter treats that as evidence of where the camera stands; its slow reaction compensates. When the
@@ -48,7 +48,7 @@ class SceneFilterParams(Params):
         gt=0,
         le=1,
         description="Exponent of a keyframe's probabilities in the online filter. 1 treats "
-        "keyframes as independent; less discounts that neighbours look alike.",
+        "keyframes as independent; less takes into account that neighbours are similar.",
     )
     smoothing_evidence_exponent: float = Field(
         0.4,

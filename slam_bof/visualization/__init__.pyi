@@ -6,7 +6,7 @@ from .matrix_images import (
     write_png as write_png,
 )
 from .misses_page import (
-    Missed as Missed,
+    MissedQueries as MissedQueries,
     find_missed_queries as find_missed_queries,
     write_missed_queries as write_missed_queries,
 )

@@ -165,3 +165,33 @@ def test_one_keyframe_is_one_witness_however_many_it_recognises(looked_about):
         for i in range(N)
     ]
     assert gate.admit(inlier_ratio, poses, components) == []
+
+
+def test_one_keyframe_may_join_three_components_at_once(looked_about):
+    """Loops of one keyframe to two other components are all admitted, whatever their order."""
+    poses = np.concatenate([looked_about, turned(-2.0, -9.0) @ looked_about[:N]])
+    components = np.repeat([0, 1, 2], N)
+    kind = np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW
+    to_second = [Loop(2 * N + i, N + i, np.eye(4), *kind) for i in (0, 4, 8, 11)]
+    to_first = [Loop(2 * N + i, i, np.eye(4), *kind) for i in (0, 4, 8, 11)]
+    gate = ComponentJoiningGate(ComponentJoiningParams(), Compare())
+    for second, first in zip(to_second[:3], to_first[:3], strict=True):
+        assert gate.admit([second, first], poses, components) == []
+    admitted = gate.admit([to_second[3], to_first[3]], poses, components)
+    assert set(map(id, admitted)) == set(map(id, to_second + to_first))
+
+
+def test_all_loops_of_the_keyframe_that_joins_are_admitted(looked_about):
+    gate = ComponentJoiningGate(ComponentJoiningParams(), Compare())
+    assert admit(gate, [loop(looked_about, i) for i in (0, 3, 6)], looked_about) == []
+    last = loop(looked_about, 9)
+    beside = Loop(
+        N + 9,
+        8,
+        se3.inverse(looked_about[8]) @ looked_about[9],
+        np.eye(6),
+        EdgeKind.LOOP,
+        CandidateSource.VIEW,
+    )
+    admitted = gate.admit([last, beside], looked_about, PARTS)
+    assert [(found.query_id - N, found.match_id) for found in admitted[-2:]] == [(9, 9), (9, 8)]

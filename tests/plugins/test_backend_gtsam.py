@@ -246,3 +246,24 @@ def test_a_wrong_loop_does_not_hold_a_part_that_right_ones_joined(restarted):
     backend.add_loop(loop(truth, N + 7, 7, wrong=se3.pose(np.eye(3), [1.5, 0.0, 0.5])))
     backend.update()
     assert (backend.optimize() >= 0.5).tolist() == [True, True, True, True, False]
+
+
+def test_the_graph_goes_on_from_its_optimum_without_the_loops_left_out(drifted):
+    backend, truth, odometry = drifted
+    for k in range(1, 4):
+        backend.add_loop(loop(truth, N - k, 4 - k))
+    wrong = se3.pose(np.eye(3), [0.8, 0.0, 0.5])
+    backend.add_loop(loop(truth, N, 6, wrong=wrong))
+    backend.update()
+    weights = backend.optimize()
+    assert weights[-1] < 0.5
+    optimum = backend.poses()
+    step = se3.inverse(odometry[0]) @ odometry[1]
+    for k in range(3):
+        T = odometry[-1] @ np.linalg.matrix_power(step, k + 1)
+        backend.add_keyframe(Keyframe(N + 1 + k, N + 1 + k, N + 1.0 + k, T, EMPTY, None))
+        backend.update()
+    np.testing.assert_allclose(backend.poses()[: N + 1], optimum, atol=2e-3)
+    np.testing.assert_allclose(
+        backend.poses()[-1], optimum[-1] @ np.linalg.matrix_power(step, 3), atol=2e-3
+    )

@@ -14,9 +14,10 @@ from slam_bof.core import registry
 from slam_bof.slam import Config, config, describe_parameters, dump_with_comments
 
 # Sections whose descriptions are still to be written as sentences; empty when all are.
-TO_DO = {
-    *("tracking", "keyframes", "labels", "regions", "loops", "covisibility", "verification"),
-    *("cloud", "plug-ins"),
+TO_DO: set[str] = {
+    *("tracking", "keyframes", "loops", "covisibility", "verification"),
+    "verifiers plug-ins",
+    *("datasets plug-ins", "descriptors plug-ins"),
 }
 
 
@@ -35,7 +36,7 @@ def parameters() -> Iterator[tuple[str, str, str]]:
         yield path.split(".")[0], path, description
     for prefix, params in plugin_params():
         for path, description, _ in describe_parameters(params, prefix):
-            yield "plug-ins", path, description
+            yield f"{prefix.split('.')[0]} plug-ins", path, description
 
 
 def is_sentence(text: str) -> bool:

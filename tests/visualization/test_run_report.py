@@ -126,7 +126,7 @@ def without_library(html: str) -> str:
 def test_the_page_has_every_figure(tmp_path: Path, data: ReportData) -> None:
     html = write(tmp_path, data)
     assert headings(html) == [
-        "Trajectory", "Position error", "Loop candidates", "Scene labels", "Time", "All figures",
+        "Trajectory", "Position error", "Loop candidates", "Scene labels", "Time", "All metrics",
     ]  # fmt: skip
     assert set(plots(html)) == {
         "top-view", "space-view", "errors", "candidates", "labels", "stages",
@@ -155,7 +155,7 @@ def test_candidates_show_the_decision_and_its_reason(tmp_path: Path, data) -> No
 
 def test_labels_are_compared_with_the_truth(tmp_path: Path, data: ReportData) -> None:
     traces = {t["name"]: t for t in plots(write(tmp_path, data))["labels"]}
-    assert len(traces["predicted, right"]["text"]) == 5
+    assert len(traces["predicted, correct"]["text"]) == 5
     assert len(traces["predicted, wrong"]["text"]) == 4
     assert len(traces["predicted"]["text"]) == 1
     assert len(traces["true"]["y"]) == 9
@@ -167,7 +167,7 @@ def test_metrics_are_written_for_people(tmp_path: Path, data: ReportData) -> Non
     assert "7scenes · 40 frames · 1.3 s · 10 keyframes · slam_bof 0.1.0 · seed 0" in html
     assert '<div class="value">0.052 m</div>' in html
     assert "odometry alone: 0.081 m" in html
-    assert '<div class="value unknown">not known</div>' in html
+    assert '<div class="value unknown">unknown</div>' in html
     assert "<tr><th>ATE with loops (RMSE)</th><td>0.0523 m</td></tr>" in html
     assert "<tr><th>n_surprises</th><td>3</td></tr>" in html
     assert "None" not in html
@@ -190,7 +190,7 @@ def test_a_run_without_truth_loops_or_labels(tmp_path: Path, data: ReportData) -
     html = write(tmp_path, bare)
     assert headings(html) == ["Trajectory"]
     assert "Unnamed sequence" in html
-    assert "No ground truth is known" in html
+    assert "The ground truth of this sequence is unknown" in html
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
