@@ -51,6 +51,16 @@ class GrowingArray:
         self._block[self._n] = row
         self._n += 1
 
+    def extend(self, rows: NDArray[Any]) -> None:
+        """Add rows (m, *shape)."""
+        n = self._n + len(rows)
+        if n > len(self._block):
+            room = np.empty((n + n // 8, *self._block.shape[1:]), self._block.dtype)
+            room[: self._n] = self.rows
+            self._block = room
+        self._block[self._n : n] = rows
+        self._n = n
+
     def truncate(self, n: int) -> None:
         """Drop all rows but the first ``n``."""
         self._n = min(n, self._n)

@@ -68,13 +68,13 @@ def remember(tour, **params):
 
 
 def test_so_many_are_aligned_at_most(tour):
-    recogniser = remember(tour, n_aligned=4, n_plans=6)
+    recogniser = remember(tour, n_aligned=4, search={"n_compared": 6})
     for query in range(1, len(recogniser)):
         assert len(recogniser.recognise(query, query)) == min(query, 4)
 
 
 def test_matches_are_followed_to_views_that_nothing_else_leads_to(tour):
-    blind = {"n_plans": 1, "n_aligned": 6, "n_neighbours": 2}
+    blind = {"search": {"n_compared": 1}, "n_aligned": 6, "n_neighbours": 2}
     recogniser = remember(tour, **blind)
     recogniser.recognise(12, N_ROUND)  # sees what 1 does, and nothing else is compared
     assert len(recogniser.recognise(12, N_ROUND)) > 1
@@ -127,7 +127,7 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
 
 def test_a_guest_is_forgotten_and_follows_nothing(tour):
     frames, _ = tour
-    recogniser = remember(tour, n_plans=1)
+    recogniser = remember(tour, search={"n_compared": 1})
     recogniser.recognise(12, N_ROUND)  # which the next view would follow
     before = recogniser.nbytes
     with recogniser.temporary_query(frames[13]) as view_id:
@@ -138,7 +138,7 @@ def test_a_guest_is_forgotten_and_follows_nothing(tour):
         assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).inlier_ratio > 0.99
     assert len(recogniser) == len(frames)
     assert recogniser.nbytes == before
-    fresh = remember(tour, n_plans=1)
+    fresh = remember(tour, search={"n_compared": 1})
     fresh.recognise(12, N_ROUND)
     answers = (r.recognise(13, N_ROUND) for r in (recogniser, fresh))
     for a, b in zip(*answers, strict=True):
