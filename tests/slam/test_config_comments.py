@@ -17,7 +17,6 @@ from slam_bof.slam import Config, config, describe_parameters, dump_with_comment
 TO_DO: set[str] = {
     *("tracking", "keyframes", "loops", "covisibility", "verification"),
     "verifiers plug-ins",
-    *("datasets plug-ins", "descriptors plug-ins"),
 }
 
 
