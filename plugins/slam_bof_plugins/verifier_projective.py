@@ -31,7 +31,10 @@ class ProjectiveParams(RegistrationQualityParams):
         n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_final_iterations=4
     )
     max_free_space_violation: float = Field(
-        0.15, ge=0, le=1, description="before what the other sees"
+        0.15,
+        ge=0,
+        le=1,
+        description="Largest share of points that may stand before what the other view sees.",
     )
 
 

@@ -40,8 +40,16 @@ class ConstellationParams(Params):
     """How contours are found, and which are kept."""
 
     slices: SliceParams = SliceParams()
-    min_radius_m: float = Field(0.15, gt=0, description="largest radius of a contour that is kept")
-    max_contours: int = Field(40, gt=0, description="the longest are kept")
+    min_radius_m: float = Field(
+        0.15,
+        gt=0,
+        description="Smallest largest-radius of a contour that is kept, in m.",
+    )
+    max_contours: int = Field(
+        40,
+        gt=0,
+        description="Largest number of contours of a view; the longest are kept.",
+    )
 
 
 class PlacedBofs(NamedTuple):

@@ -27,17 +27,60 @@ SLICE_STEP_M = 0.1
 class MatchingParams(Params):
     """Which contours correspond, and what agrees."""
 
-    max_slices: int = Field(2, ge=0, description="slices apart: gravity and height drift")
-    max_size_ratio: float = Field(1.35, gt=1, description="between the largest radii")
-    max_mean_difference: float = Field(0.12, gt=0, description="of radii divided by the largest")
-    min_similarity: float = Field(0.9, gt=0, lt=1, description="correlation of the radii")
-    max_yaw_deg: float = Field(60.0, gt=0, le=180, description="between the two views")
-    max_distance_m: float = Field(3.0, gt=0, description="between the two cameras")
-    sigma_yaw_deg: float = Field(6.0, gt=0, description="kernel of agreement")
-    sigma_m: float = Field(0.2, gt=0, description="in x and z")
-    sigma_height_m: float = Field(0.06, gt=0, description="in height")
-    max_hypotheses: int = Field(3, gt=0, description="of a pair")
-    min_score_ratio: float = Field(0.7, gt=0, le=1, description="of the next to the best")
+    max_slices: int = Field(
+        2,
+        ge=0,
+        description="Largest difference of slice numbers between two contours that match.",
+    )
+    max_size_ratio: float = Field(
+        1.35,
+        gt=1,
+        description="Largest ratio of the largest radii of two contours that match.",
+    )
+    max_mean_difference: float = Field(
+        0.12,
+        gt=0,
+        description="Largest difference of the mean radii, each divided by the largest radius.",
+    )
+    min_similarity: float = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="Smallest circular correlation of the radii of two contours that match.",
+    )
+    max_yaw_deg: float = Field(
+        60.0,
+        gt=0,
+        le=180,
+        description="Largest yaw between two views, in degrees.",
+    )
+    max_distance_m: float = Field(
+        3.0,
+        gt=0,
+        description="Largest horizontal distance between two cameras, in m.",
+    )
+    sigma_yaw_deg: float = Field(
+        6.0,
+        gt=0,
+        description="Width of the voting kernel in yaw, in degrees.",
+    )
+    sigma_m: float = Field(0.2, gt=0, description="Width of the voting kernel in x and z, in m.")
+    sigma_height_m: float = Field(
+        0.06,
+        gt=0,
+        description="Width of the voting kernel in height, in m.",
+    )
+    max_hypotheses: int = Field(
+        3,
+        gt=0,
+        description="Largest number of pose hypotheses for a pair of views.",
+    )
+    min_score_ratio: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Smallest score of a further hypothesis, as a share of the best one.",
+    )
 
 
 class Correspondences(NamedTuple):

@@ -44,7 +44,11 @@ MEAN_REACH = 15
 class IndexParams(Params):
     """How many views are compared contour by contour, and how."""
 
-    n_compared: int = Field(100, gt=0, description="views with the most votes")
+    n_compared: int = Field(
+        100,
+        gt=0,
+        description="Number of views with most votes that are matched contour by contour.",
+    )
     matching: MatchingParams = MatchingParams()
 
 

@@ -22,14 +22,41 @@ __all__ = ["SliceContours", "SliceParams", "find_slice_contours", "slice_images"
 class SliceParams(Params):
     """Where slices are, and how their contours are drawn. Lengths in metres."""
 
-    n_slices: int = Field(30, gt=0, le=127, description="level slices, each above the one before")
-    step_m: float = Field(0.1, gt=0, description="from one to the next; each is two steps thick")
-    top_m: float = Field(-1.4, description="where the first begins; heights count downwards")
-    pixel_m: float = Field(0.04, gt=0, description="side of a pixel")
-    side_m: float = Field(9.0, gt=0, description="of the square of floor that is drawn")
-    ahead_m: float = Field(2.5, description="its middle, ahead of the camera")
-    closing_px: int = Field(5, gt=0, description="side of the square closing kernel, odd")
-    dilation_px: int = Field(3, gt=0, description="side of the square dilation after it, odd")
+    n_slices: int = Field(
+        30,
+        gt=0,
+        le=127,
+        description="Number of horizontal slices, each above the one before.",
+    )
+    step_m: float = Field(
+        0.1,
+        gt=0,
+        description="Height from one slice to the next, in m; each is two steps thick.",
+    )
+    top_m: float = Field(
+        -1.4,
+        description="Height at which the first slice begins, in m below the camera.",
+    )
+    pixel_m: float = Field(0.04, gt=0, description="Edge length of a pixel, in m.")
+    side_m: float = Field(
+        9.0,
+        gt=0,
+        description="Edge length of the square of floor that a slice shows, in m.",
+    )
+    ahead_m: float = Field(
+        2.5,
+        description="Distance of the middle of that square ahead of the camera, in m.",
+    )
+    closing_px: int = Field(
+        5,
+        gt=0,
+        description="Edge length of the closing kernel, in pixels; odd.",
+    )
+    dilation_px: int = Field(
+        3,
+        gt=0,
+        description="Edge length of the dilation kernel, in pixels; odd.",
+    )
 
     @model_validator(mode="after")
     def _check_odd(self) -> Self:

@@ -36,20 +36,70 @@ CHUNK = 2**15
 class AlignmentParams(Params):
     """How hard a pose is searched for, and what counts as seeing the same."""
 
-    n_points: int = Field(400, gt=0, description="of a view that ICP and agreement look at")
-    n_search_points: int = Field(100, gt=0, description="of which so many score a random pose")
-    n_poses: int = Field(32, gt=0, description="random poses about each start, in a round")
-    n_rounds: int = Field(3, gt=0, description="each about the two best, half as far")
-    sigma_deg: tuple[float, float, float] = Field((6.0, 7.0, 5.0), description="about x, y, z")
-    sigma_m: tuple[float, float, float] = Field((0.25, 0.15, 0.25), description="along x, y, z")
-    search_tolerance: tuple[float, float] = Field((0.1, 0.03), description="m, and share of depth")
-    n_iterations: int = Field(12, gt=0, description="of ICP")
-    n_fine_iterations: int = Field(8, ge=0, description="of which the last look at all points")
-    n_coarse_points: int = Field(1000, gt=0, description="that the others look at")
-    gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
-    min_step: float = Field(1e-3, ge=0, description="rad and m; who moves less waits for ...")
-    n_final_iterations: int = Field(2, ge=0, description="... so many iterations at the end")
-    tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
+    n_points: int = Field(
+        400,
+        gt=0,
+        description="Number of points of a view that ICP and agreement use.",
+    )
+    n_search_points: int = Field(
+        100,
+        gt=0,
+        description="Number of points that score a random pose.",
+    )
+    n_poses: int = Field(
+        32,
+        gt=0,
+        description="Number of random poses around each start in a round.",
+    )
+    n_rounds: int = Field(
+        3,
+        gt=0,
+        description="Number of rounds, each around the two best poses with half the spread.",
+    )
+    sigma_deg: tuple[float, float, float] = Field(
+        (6.0, 7.0, 5.0),
+        description="Standard deviations of random rotations about x, y and z, in degrees.",
+    )
+    sigma_m: tuple[float, float, float] = Field(
+        (0.25, 0.15, 0.25),
+        description="Standard deviations of random translations along x, y and z, in m.",
+    )
+    search_tolerance: tuple[float, float] = Field(
+        (0.1, 0.03),
+        description="Depth difference that the search tolerates, in m and as a share of depth.",
+    )
+    n_iterations: int = Field(12, gt=0, description="Number of ICP iterations.")
+    n_fine_iterations: int = Field(
+        8,
+        ge=0,
+        description="Number of iterations at the end that use all points.",
+    )
+    n_coarse_points: int = Field(
+        1000,
+        gt=0,
+        description="Number of points that the other iterations use.",
+    )
+    gates_m: tuple[float, float] = Field(
+        (0.3, 0.1),
+        description="Largest residual of a correspondence in the first and the last iteration, in "
+        "m.",
+    )
+    min_step: float = Field(
+        1e-3,
+        ge=0,
+        description="Pairs that move by less than this, in rad and m, rest until the last "
+        "iterations.",
+    )
+    n_final_iterations: int = Field(
+        2,
+        ge=0,
+        description="Number of iterations at the end in which all pairs move.",
+    )
+    tolerance: tuple[float, float] = Field(
+        (0.05, 0.02),
+        description="Depth difference at which a point counts as an inlier, in m and as a share of "
+        "depth.",
+    )
 
 
 class SurfacePairs(NamedTuple):

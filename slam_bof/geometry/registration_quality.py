@@ -13,11 +13,27 @@ __all__ = ["RegistrationQualityParams", "assess_registration", "reject"]
 class RegistrationQualityParams(Params):
     """What two views of the same surfaces must have in common."""
 
-    min_overlap: float = Field(0.35, ge=0, le=1)
-    min_overlap_global: float = Field(0.6, ge=0, le=1, description="where no guess was given")
-    max_rmse_m: float = Field(0.05, gt=0)
+    min_overlap: float = Field(
+        0.35,
+        ge=0,
+        le=1,
+        description="Smallest share of points with a match.",
+    )
+    min_overlap_global: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="The same where registration started without a guess.",
+    )
+    max_rmse_m: float = Field(
+        0.05,
+        gt=0,
+        description="Largest root mean square of point-to-plane residuals, in m.",
+    )
     min_stiffness: float = Field(
-        0.002, ge=0, description="least eigenvalue of the information per point"
+        0.002,
+        ge=0,
+        description="Smallest eigenvalue of the information for each point.",
     )
 
 

@@ -32,20 +32,56 @@ N_QUERIES = 100
 class ComponentJoiningParams(Params):
     """What loops between two components need, beyond what loops within one need."""
 
-    n_required: int = Field(4, gt=0, description="loops of different keyframes that agree")
-    max_distance_m: float = Field(0.15, gt=0, description="by which they may disagree")
-    max_angle_rad: float = Field(0.06, gt=0)
+    n_required: int = Field(
+        4,
+        gt=0,
+        description="Number of loops from different keyframes that must agree to join two "
+        "components.",
+    )
+    max_distance_m: float = Field(
+        0.15,
+        gt=0,
+        description="Largest distance by which two loops may disagree, in m.",
+    )
+    max_angle_rad: float = Field(
+        0.06,
+        gt=0,
+        description="Largest angle by which two loops may disagree, in rad.",
+    )
     min_view_spread_rad: float = Field(
-        0.6, ge=0, description="between their directions of view, or"
+        0.6,
+        ge=0,
+        description="Angle between viewing directions of the loops, in rad, from which the place "
+        "counts as seen from several sides.",
     )
-    min_position_spread_m: float = Field(3.0, ge=0, description="between the places they look from")
+    min_position_spread_m: float = Field(
+        3.0,
+        ge=0,
+        description="Distance between viewpoints of the loops, in m, that counts as such too.",
+    )
     max_pair_distance_m: float = Field(
-        2.5, gt=0, description="views that a join brings nearer than this,"
+        2.5,
+        gt=0,
+        description="Views of the two components are compared where the join brings them closer "
+        "than this, in m.",
     )
-    max_pair_angle_rad: float = Field(1.0, gt=0, description="turned by less, are compared,")
-    n_pairs: int = Field(300, gt=0, description="so many of them")
+    max_pair_angle_rad: float = Field(
+        1.0,
+        gt=0,
+        description="Views are compared where their directions then differ by less than this, in "
+        "rad.",
+    )
+    n_pairs: int = Field(
+        300,
+        gt=0,
+        description="Largest number of pairs of views that are compared.",
+    )
     max_free_space_violation: float = Field(
-        0.2, ge=0, le=1, description="share of their points that may stand in free space"
+        0.2,
+        ge=0,
+        le=1,
+        description="Largest share of compared points of one component that may stand in space the "
+        "other has seen to be free.",
     )
 
 

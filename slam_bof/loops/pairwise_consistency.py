@@ -25,10 +25,27 @@ __all__ = ["ConsistencyGate", "ConsistencyParams", "agree", "circuit_errors"]
 class ConsistencyParams(Params):
     """How many other loops must agree, and how well."""
 
-    n_required: int = Field(1, ge=0, description="loops of other keyframes that must agree")
-    window: int = Field(8, gt=0, description="keyframes back that may still bear witness")
-    max_distance_m: float = Field(0.1, gt=0)
-    max_angle_rad: float = Field(0.06, gt=0)
+    n_required: int = Field(
+        1,
+        ge=0,
+        description="Number of loops of other keyframes that must agree with a loop; 0 turns the "
+        "check off.",
+    )
+    window: int = Field(
+        8,
+        gt=0,
+        description="Number of keyframes for which a loop waits for others to agree.",
+    )
+    max_distance_m: float = Field(
+        0.1,
+        gt=0,
+        description="Largest distance by which two loops may disagree, in m.",
+    )
+    max_angle_rad: float = Field(
+        0.06,
+        gt=0,
+        description="Largest angle by which two loops may disagree, in rad.",
+    )
 
 
 @dataclass(slots=True, eq=False)

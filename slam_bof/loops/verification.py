@@ -40,15 +40,42 @@ class VerificationParams(Params):
     alike the views are too.
     """
 
-    min_overlap: float = Field(0.6, ge=0, le=1, description="of a loop's two clouds")
-    max_view_distance_m: float = Field(1.0, gt=0, description="between views with like bags")
-    max_view_angle_rad: float = Field(0.7, gt=0, description="between views with like bags")
-    max_correction_m: float = Field(
-        0.5, ge=0, description="a loop may move the map by this, plus drift"
+    min_overlap: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="Smallest share of points with a match that a loop needs.",
     )
-    max_correction_rad: float = Field(0.3, ge=0, description="and turn it by this, plus drift")
-    drift_m_per_m: float = Field(0.05, ge=0, description="drift that odometry may have")
-    drift_rad_per_m: float = Field(0.02, ge=0, description="and its turn")
+    max_view_distance_m: float = Field(
+        1.0,
+        gt=0,
+        description="Largest distance between two views that bags propose, in m.",
+    )
+    max_view_angle_rad: float = Field(
+        0.7,
+        gt=0,
+        description="Largest angle between two views that bags propose, in rad.",
+    )
+    max_correction_m: float = Field(
+        0.5,
+        ge=0,
+        description="Distance by which a loop may move the map, in m, before drift is added.",
+    )
+    max_correction_rad: float = Field(
+        0.3,
+        ge=0,
+        description="Angle by which a loop may turn the map, in rad, before drift is added.",
+    )
+    drift_m_per_m: float = Field(
+        0.05,
+        ge=0,
+        description="Drift in position that odometry may have, in m for each m travelled.",
+    )
+    drift_rad_per_m: float = Field(
+        0.02,
+        ge=0,
+        description="Drift in direction that odometry may have, in rad for each m travelled.",
+    )
     consistency: ConsistencyParams = ConsistencyParams()
     component_joining: ComponentJoiningParams = ComponentJoiningParams()
 

@@ -37,13 +37,33 @@ __all__ = ["Localization", "LocalizationParams", "Localizer"]
 class LocalizationParams(Params):
     """What a pose must have for it to be told."""
 
-    n_verified: int = Field(10, gt=0, description="keyframes that look most alike are verified")
-    min_points: int = Field(100, ge=0, description="of the image; with fewer nothing is known")
-    same_m: float = Field(0.15, gt=0, description="poses that differ by less, and ...")
-    same_rad: float = Field(0.1, gt=0, description="... are turned by less, are one place")
-    apart_m: float = Field(0.25, gt=0, description="poses that differ by more, or ...")
-    apart_rad: float = Field(0.17, gt=0, description="... are turned by more, are two places")
-    n_refined: int = Field(5, gt=0, description="near keyframes that the pose is the mean of")
+    n_verified: int = Field(
+        10,
+        gt=0,
+        description="Number of keyframes that are verified, best first.",
+    )
+    min_points: int = Field(
+        100,
+        ge=0,
+        description="Smallest number of points that an image needs to be localised.",
+    )
+    same_m: float = Field(0.15, gt=0, description="Poses closer than this, in m, are one place.")
+    same_rad: float = Field(
+        0.1,
+        gt=0,
+        description="Poses whose directions differ by less than this, in rad, are one place.",
+    )
+    apart_m: float = Field(
+        0.25,
+        gt=0,
+        description="Poses farther apart than this, in m, are different places.",
+    )
+    apart_rad: float = Field(
+        0.17,
+        gt=0,
+        description="Poses whose directions differ by more than this, in rad, are distinct places.",
+    )
+    n_refined: int = Field(5, gt=0, description="Number of keyframes near the pose that refine it.")
     consistency: MapConsistencyParams = MapConsistencyParams()
     aliases: PerceptualAliasParams = PerceptualAliasParams()
 

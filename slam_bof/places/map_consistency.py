@@ -26,26 +26,55 @@ N_POINTS = 200
 class MapConsistencyParams(Params):
     """What a view must have in common with the keyframes around its pose."""
 
-    max_range_m: float = Field(8.0, gt=0, description="how far a view reaches")
-    min_near: float = Field(0.1, gt=0, le=1, description="share of points in a near view")
-    max_near: int = Field(40, gt=0, description="near views that are asked")
+    max_range_m: float = Field(
+        8.0,
+        gt=0,
+        description="Depth that bounds the frustum of a view, in m.",
+    )
+    min_near: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="Smallest share of points that must fall into a keyframe for it to count as "
+        "near.",
+    )
+    max_near: int = Field(
+        40,
+        gt=0,
+        description="Largest number of near keyframes that an image is compared with.",
+    )
     min_visible_ratio: float = Field(
-        0.5, ge=0, le=1, description="of points where the map has depth"
+        0.5,
+        ge=0,
+        le=1,
+        description="Smallest share of points at which the keyframes together have a depth.",
     )
     max_outlier_ratio: float = Field(
-        0.05, ge=0, le=1, description="of these, that the map has elsewhere"
+        0.05,
+        ge=0,
+        le=1,
+        description="Largest share of these that may lie elsewhere than the map has surfaces.",
     )
     max_free_space_violation: float = Field(
-        0.04, ge=0, le=1, description="of these, before what the map has"
+        0.04,
+        ge=0,
+        le=1,
+        description="Largest share of these that may stand before the surfaces of the map.",
     )
     max_free_space_violation_reverse: float = Field(
-        0.05, ge=0, le=1, description="of the map's, before what is seen"
+        0.05,
+        ge=0,
+        le=1,
+        description="Largest share of points of the map that may stand before the surfaces of the "
+        "image.",
     )
     noise_factor: float = Field(
-        2.0, ge=0, description="so many times the keyframes' own shares are added to these"
+        2.0,
+        ge=0,
+        description="How many times the median shares of the map itself are added to these limits.",
     )
-    max_share: float = Field(0.2, ge=0, le=1, description="but none may be more than this")
-    n_reference: int = Field(50, gt=0, description="keyframes whose shares are measured")
+    max_share: float = Field(0.2, ge=0, le=1, description="Upper bound of these limits.")
+    n_reference: int = Field(50, gt=0, description="Number of keyframes whose shares are measured.")
 
 
 class KnownView(NamedTuple):

@@ -24,13 +24,43 @@ __all__ = ["PerceptualAliasParams", "PerceptualAliases"]
 class PerceptualAliasParams(Params):
     """Which keyframes are looked for elsewhere, and where."""
 
-    n_near: int = Field(10, ge=0, description="keyframes around a pose; 0 looks for none")
-    near_m: float = Field(1.5, gt=0, description="and so near to it")
-    n_verified: int = Field(4, gt=0, description="places that look most alike are verified")
-    apart_m: float = Field(0.5, gt=0, description="what is nearer, and ...")
-    apart_rad: float = Field(0.5, gt=0, description="... turned by less, is no other place")
-    same_place_m: float = Field(1.5, gt=0, description="keyframes that are nearer, and ...")
-    same_place_overlap: float = Field(0.3, gt=0, description="... see the same, are not asked")
+    n_near: int = Field(
+        10,
+        ge=0,
+        description="Number of keyframes around a pose that are searched for in the rest of the "
+        "map; 0 turns the check off.",
+    )
+    near_m: float = Field(
+        1.5,
+        gt=0,
+        description="Largest distance of these keyframes from the pose, in m.",
+    )
+    n_verified: int = Field(
+        4,
+        gt=0,
+        description="Number of similar places that are verified for each of them.",
+    )
+    apart_m: float = Field(
+        0.5,
+        gt=0,
+        description="Places closer than this, in m, count as the same.",
+    )
+    apart_rad: float = Field(
+        0.5,
+        gt=0,
+        description="Places whose directions differ by less than this, in rad, count as the same.",
+    )
+    same_place_m: float = Field(
+        1.5,
+        gt=0,
+        description="Keyframes closer than this, in m, may show the same place and are left out of "
+        "the search.",
+    )
+    same_place_overlap: float = Field(
+        0.3,
+        gt=0,
+        description="Share of points that such keyframes must see too to be left out.",
+    )
 
 
 class PerceptualAliases:

@@ -48,15 +48,42 @@ Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 class RecogniserParams(Params):
     """How many views each step looks at, and how alignments are ranked."""
 
-    n_aligned: int = Field(20, ge=0, description="views that are aligned; half may be followed")
-    n_followed: int = Field(5, ge=0, description="matches of the view before that are followed")
-    n_neighbours: int = Field(2, ge=0, description="views before and after such a match")
-    overlap_saturation: float = Field(
-        0.55, ge=0, description="agreement from which more hardly counts"
+    n_aligned: int = Field(
+        20,
+        ge=0,
+        description="Number of views that are aligned with the query; up to half of them are "
+        "followed.",
     )
-    near_bonus: float = Field(0.1, ge=0, description="for a view from the same place")
-    near_m: float = Field(0.3, gt=0, description="which is so far from it")
-    near_deg: float = Field(25.0, gt=0, description="and turned by so much")
+    n_followed: int = Field(
+        5,
+        ge=0,
+        description="Number of matches of the last view that are followed by odometry.",
+    )
+    n_neighbours: int = Field(
+        2,
+        ge=0,
+        description="Number of views before and after such a match that are aligned too.",
+    )
+    overlap_saturation: float = Field(
+        0.55,
+        ge=0,
+        description="Inlier ratio, less free-space violations, beyond which more hardly counts.",
+    )
+    near_bonus: float = Field(
+        0.1,
+        ge=0,
+        description="Largest bonus in the score for a view from the same viewpoint.",
+    )
+    near_m: float = Field(
+        0.3,
+        gt=0,
+        description="Distance between viewpoints at which that bonus falls off, in m.",
+    )
+    near_deg: float = Field(
+        25.0,
+        gt=0,
+        description="Angle between viewpoints at which that bonus falls off, in degrees.",
+    )
     constellation: ConstellationParams = ConstellationParams()
     search: ViewIndexParams = ViewIndexParams()
     alignment: AlignmentParams = AlignmentParams()

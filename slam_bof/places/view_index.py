@@ -26,9 +26,21 @@ __all__ = ["Proposals", "ViewIndex", "ViewIndexParams"]
 class ViewIndexParams(Params):
     """How many views each step looks at, and what the proposers count."""
 
-    n_voted: int = Field(200, gt=0, description="views with most votes, whose panoramas compare")
-    n_compared: int = Field(50, gt=0, description="of these, compared contour by contour")
-    constellation_weight: float = Field(3.0, ge=0, description="the panorama's being 1")
+    n_voted: int = Field(
+        200,
+        gt=0,
+        description="Number of views with most votes whose panoramas are compared.",
+    )
+    n_compared: int = Field(
+        50,
+        gt=0,
+        description="Number of these that are matched contour by contour.",
+    )
+    constellation_weight: float = Field(
+        3.0,
+        ge=0,
+        description="Weight of the constellation score beside that of the panorama, which is 1.",
+    )
     index: IndexParams = IndexParams()
 
 

@@ -16,14 +16,38 @@ __all__ = ["KeyframeParams", "KeyframeSelector"]
 class KeyframeParams(Params):
     """Policy ``motion`` keeps a frame that moved enough; ``every`` the paper's k-th frame."""
 
-    policy: Literal["motion", "every"] = "motion"
-    distance_m: float = Field(0.12, gt=0, description="motion: a frame this far from the last")
-    angle_rad: float = Field(0.2, gt=0, description="motion: or turned this much")
-    max_gap: int = Field(
-        10, gt=0, description="motion: at most so many frames from one to the next"
+    policy: Literal["motion", "every"] = Field(
+        "motion",
+        description="How keyframes are chosen: by motion, or every k-th frame as in the paper.",
     )
-    min_inlier_ratio: float = Field(0.4, le=1, description="motion: or that sees less of the same")
-    every: int = Field(10, gt=0, description="every: each k-th frame")
+    distance_m: float = Field(
+        0.12,
+        gt=0,
+        description="With motion: distance from the last keyframe at which a frame becomes one, in "
+        "m.",
+    )
+    angle_rad: float = Field(
+        0.2,
+        gt=0,
+        description="With motion: angle from the last keyframe at which a frame becomes one, in "
+        "rad.",
+    )
+    max_gap: int = Field(
+        10,
+        gt=0,
+        description="With motion: largest number of frames from one keyframe to the next.",
+    )
+    min_inlier_ratio: float = Field(
+        0.4,
+        le=1,
+        description="With motion: a frame that sees a smaller share of the last keyframe than this "
+        "becomes one.",
+    )
+    every: int = Field(
+        10,
+        gt=0,
+        description="With every: number of frames from one keyframe to the next.",
+    )
 
 
 class KeyframeSelector:

@@ -45,22 +45,43 @@ class TrackingParams(Params):
     usual.
     """
 
-    enabled: bool = Field(True, description="without, odometry is trusted as it is")
+    enabled: bool = Field(
+        True,
+        description="Whether frames are tracked; without, odometry is taken as it is.",
+    )
     alignment: AlignmentParams = AlignmentParams(
         n_points=1000, n_iterations=8, gates_m=(0.15, 0.03)
     )
     max_inlier_drop: float = Field(
-        0.2, ge=0, le=1, description="than usual, of a frame that odometry has"
+        0.2,
+        ge=0,
+        le=1,
+        description="Largest drop of the inlier ratio below its running mean at which a frame "
+        "still counts as tracked.",
     )
     max_inlier_drop_relocalised: float = Field(
-        0.1, ge=0, le=1, description="of one that had to be searched for"
+        0.1,
+        ge=0,
+        le=1,
+        description="The same for a frame whose pose had to be searched for.",
     )
     min_visible_ratio: float = Field(
-        0.2, ge=0, le=1, description="share of points that can be told"
+        0.2,
+        ge=0,
+        le=1,
+        description="Smallest share of points that fall where the other view has a depth.",
     )
-    min_visible_ratio_relocalised: float = Field(0.4, ge=0, le=1)
+    min_visible_ratio_relocalised: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="The same for a frame whose pose had to be searched for.",
+    )
     min_valid_pixel_ratio: float = Field(
-        0.05, ge=0, le=1, description="share of pixels with a depth"
+        0.05,
+        ge=0,
+        le=1,
+        description="Smallest share of pixels with a depth.",
     )
 
 
