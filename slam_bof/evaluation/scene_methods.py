@@ -29,6 +29,7 @@ from slam_bof.ports import Descriptor
 from slam_bof.scenes import (
     CLASSIFIERS,
     ClassifierName,
+    Labeller,
     Model,
     SceneClassifier,
     TrainingFrame,
@@ -79,6 +80,12 @@ class ModelMethod:
     needs_gray: bool = False
     label: Cost = field(default_factory=Cost)
     train: Cost = field(default_factory=Cost)
+    _labeller: Labeller | None = field(init=False, repr=False, default=None)
+
+    def __post_init__(self) -> None:
+        """Label by the given model, if there is one."""
+        if self.model is not None:
+            self._labeller = self.model.labeller()
 
     def fit(self, frames: Iterable[TrainingFrame]) -> None:
         """Train on frames, read once, one by one."""

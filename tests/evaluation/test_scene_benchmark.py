@@ -22,6 +22,8 @@ from slam_bof.evaluation import (
     split_sunrgbd,
 )
 from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
+from slam_bof.geometry import se3
+from slam_bof.scenes import model as models
 from slam_bof.types import DepthFrame
 from slam_bof.visualization import write_comparison
 
@@ -140,3 +142,18 @@ def test_views_of_a_room_come_with_their_shading() -> None:
 def test_sunrgbd_needs_a_data_set_that_says_what_trains(scenes: Path) -> None:
     with pytest.raises(DatasetError, match="found 7scenes, expected a data set that says"):
         split_sunrgbd(scenes / "hall" / "seq-01")
+
+
+def test_a_given_model_labels_as_it_is(look, standpoint):
+    """A method built from a model needs no training."""
+    model = models.resolve("default")
+    T = se3.pose(
+        np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]), [*standpoint, 1.3]
+    )
+    frame = look(T, 0)
+    probabilities = ModelMethod(model=model).probabilities(frame, None)
+    scene = model.labeller().label(frame)
+    assert probabilities.sum() == pytest.approx(1.0)
+    assert probabilities.max() == pytest.approx(scene.probability)
+    with pytest.raises(RuntimeError, match="fitted first"):
+        ModelMethod().probabilities(frame, None)
