@@ -162,7 +162,7 @@ def align(points_reference: Array, points_estimate: Array) -> Pose:
 
 
 def from_quaternion(quaternion_xyzw: ArrayLike, t: ArrayLike) -> Pose:
-    """Compose (..., 4, 4) transforms from quaternions (..., 4) x y z w and translations (..., 3)."""
+    """Compose (..., 4, 4) from quaternions (..., 4), x y z w, and translations (..., 3)."""
     quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
     T = np.zeros((*quaternion.shape[:-1], 4, 4))
     T[..., :3, :3] = Rotation.from_quat(quaternion).as_matrix()
