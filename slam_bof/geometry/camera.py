@@ -64,7 +64,7 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
     expected = (len(y_per_z), len(x_per_z))
     if depth_m.shape != expected:
         raise ValueError(
-            f"depth_m must be {expected} for its intrinsics at stride {stride}, got {depth_m.shape}"
+            f"depth_m must be {expected} at stride {stride} for its intrinsics, got {depth_m.shape}"
         )
     depth = depth_m.astype(np.float64)
     # The slopes of the rays are the same in every row and in every column.

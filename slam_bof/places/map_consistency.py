@@ -54,25 +54,25 @@ class MapConsistencyParams(Params):
         0.05,
         ge=0,
         le=1,
-        description="Largest share of these that may lie elsewhere than the map has surfaces.",
+        description="Largest share of these that may lie away from the surfaces of the map.",
     )
     max_free_space_violation: float = Field(
         0.04,
         ge=0,
         le=1,
-        description="Largest share of these that may stand before the surfaces of the map.",
+        description="Largest share of these that may lie in front of the surfaces of the map.",
     )
     max_free_space_violation_reverse: float = Field(
         0.05,
         ge=0,
         le=1,
-        description="Largest share of points of the map that may stand before the surfaces of the "
-        "image.",
+        description="Largest share of points of the map that may lie in front of the surfaces of "
+        "the image.",
     )
     noise_factor: float = Field(
         2.0,
         ge=0,
-        description="How many times the median shares of the map itself are added to these limits.",
+        description="Factor of the median shares of the map itself that are added to these limits.",
     )
     max_share: float = Field(0.2, ge=0, le=1, description="Upper bound of these limits.")
     n_reference: int = Field(50, gt=0, description="Number of keyframes whose shares are measured.")

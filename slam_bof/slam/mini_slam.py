@@ -30,7 +30,7 @@ __all__ = ["MiniSlam", "SlamResult", "of_session"]
 
 Pair = TypeVar("Pair", Loop, Candidate)
 
-SAME_M = 1e-6
+MAX_ODOMETRY_DIFFERENCE = 1e-6
 """Largest difference of the odometry, in any entry of the pose, when a run is resumed."""
 
 
@@ -154,9 +154,10 @@ def _check_same(
             f"{where}: found stamp {frame.stamp_s} s, expected {before.stamp_s} s as in the "
             "interrupted run: is this the same sequence?"
         )
-    off_m = float(np.abs(se3.inverse(before.T_odom_raw) @ T_odom_camera - np.eye(4)).max())
-    if off_m > SAME_M:
+    difference = float(np.abs(se3.inverse(before.T_odom_raw) @ T_odom_camera - np.eye(4)).max())
+    if difference > MAX_ODOMETRY_DIFFERENCE:
         raise DatasetError(
-            f"{where}: found an odometry pose that differs by {off_m:.2g} (m, rad) from that of the "
-            "interrupted run, expected the same: is this the same sequence, and is the odometry deterministic?"
+            f"{where}: found an odometry pose that differs by {difference:.2g} (m, rad) from that "
+            "of the interrupted run, expected the same: is this the same sequence, and is the "
+            "odometry deterministic?"
         )
