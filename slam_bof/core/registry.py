@@ -9,8 +9,9 @@ from __future__ import annotations
 import ast
 import importlib.util
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any
@@ -122,26 +123,58 @@ def load(port: str, name: str) -> Any:
 def missing(item: Listing) -> str:
     """Return which library a plug-in lacks and how to install it, or an empty string if none.
 
-    The source of the plug-in is searched for import statements; nothing is imported.
+    The source is searched for import statements; nothing is imported. The search covers the whole
+    module of the plug-in, and the modules of its own package that it imports at module level.
     """
     entry = _found(item.port)[item.name]
     package = entry.module.split(".")[0]
-    try:
-        spec = importlib.util.find_spec(entry.module)
-        source = Path(spec.origin).read_bytes() if spec and spec.origin else b""
-        tree = ast.parse(source)
-    except (ImportError, OSError, SyntaxError, ValueError) as error:
-        return f"cannot be loaded: {' '.join(str(error).split())}"
-    if spec is None:
-        return f"cannot be loaded: no module {entry.module}"
-    for node in ast.walk(tree):
-        modules = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            modules = [node.module]
-        for library in sorted({module.split(".")[0] for module in modules} - {package}):
-            if importlib.util.find_spec(library) is None:
+    modules, visited = [entry.module], set()
+    while modules:
+        module = modules.pop()
+        visited.add(module)
+        try:
+            tree = _parse_module(module)
+        except (ImportError, OSError, SyntaxError, ValueError) as error:
+            return f"cannot be loaded: {' '.join(str(error).split())}"
+        for name in sorted(_imported(ast.walk(tree), module)):
+            library = name.split(".")[0]
+            if library != package and importlib.util.find_spec(library) is None:
                 return _install_hint(entry, library)
+        own = (name for name in _imported(tree.body, module) if name.split(".")[0] == package)
+        modules += sorted(name for name in own if name not in visited and _find(name))
     return ""
+
+
+def _find(module: str) -> ModuleSpec | None:
+    """Find a module without importing its parent packages."""
+    root, *names = module.split(".")
+    spec = importlib.util.find_spec(root)
+    for name in names:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        path = list(spec.submodule_search_locations)
+        spec = PathFinder.find_spec(f"{spec.name}.{name}", path)
+    return spec
+
+
+def _parse_module(module: str) -> ast.Module:
+    spec = _find(module)
+    if spec is None:
+        raise ImportError(f"no module {module}")
+    return ast.parse(Path(spec.origin).read_bytes() if spec.origin else b"")
+
+
+def _imported(nodes: Iterable[ast.AST], module: str) -> Iterator[str]:
+    """Yield the full names of imported modules, and of the names imported from them."""
+    for node in nodes:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = importlib.util.resolve_name(
+                "." * node.level + (node.module or ""), module.rpartition(".")[0]
+            )
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
 def _install_hint(entry: EntryPoint, library: str) -> str:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.util
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
@@ -201,3 +202,45 @@ def test_an_unknown_layout_is_told_with_what_is_there_and_who_was_not_asked(tmp_
     (folder / "00.txt").write_text("hello")
     assert "00.txt: found a file, expected the folder of a sequence" in refused(folder / "00.txt")
     assert "none: found nothing, expected the folder" in refused(folder / "none")
+
+
+def test_missing_follows_imports_inside_the_plugins_own_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = tmp_path / "deep_stranger"
+    package.mkdir()
+    (package / "__init__.py").write_text("")
+    (package / "reader.py").write_text("def read():\n    import cv9_of_no_one\n")
+    (package / "by_name.py").write_text("from deep_stranger.reader import read\nclass X: pass\n")
+    (package / "relative.py").write_text("from . import reader\nclass X: pass\n")
+    (package / "late.py").write_text("class X:\n    def f(self):\n        from . import reader\n")
+    info = tmp_path / "deep_stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: deep-stranger\nVersion: 1.0\n")
+    names = ("by_name", "relative", "late")
+    lines = [f"{name} = deep_stranger.{name}:X" for name in names]
+    (info / "entry_points.txt").write_text("\n".join(["[slam_bof.odometry]", *lines]))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = {
+        item.name: registry.missing(item)
+        for item in registry.listing()
+        if item.distribution == "deep-stranger"
+    }
+    assert found["by_name"].startswith("needs cv9_of_no_one")
+    assert found["relative"].startswith("needs cv9_of_no_one")
+    assert found["late"] == ""  # what is imported in a function may never be needed
+    assert "deep_stranger.reader" not in sys.modules
+
+
+def test_a_data_set_of_bags_needs_rosbags(monkeypatch: pytest.MonkeyPatch) -> None:
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util,
+        "find_spec",
+        lambda name, *rest: None if name == "rosbags" else find_spec(name, *rest),
+    )
+    items = {item.name: item for item in registry.listing() if item.port == "datasets"}
+    assert 'pip install "slam-bof[bag]"' in registry.missing(items["bag"])
+    assert registry.missing(items["folder"]) == ""
+    recorded = next(i for i in registry.listing() if (i.port, i.name) == ("odometry", "recorded"))
+    assert registry.missing(recorded) == ""
