@@ -57,7 +57,7 @@ class Params(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    given_whole: ClassVar[bool] = False
+    keeps_own_defaults: ClassVar[bool] = False
     """Whether an enclosing model leaves the missing keys to the defaults of this class itself."""
 
     @model_validator(mode="before")
@@ -75,7 +75,7 @@ class Params(BaseModel):
             for name, field in cls.model_fields.items()
             if isinstance(given.get(name), dict)
             and isinstance(field.default, Params)
-            and not field.default.given_whole
+            and not field.default.keeps_own_defaults
         }
         return {**given, **completed}
 

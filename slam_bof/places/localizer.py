@@ -155,7 +155,7 @@ class Localizer:
     def add(self, frame: DepthFrame, T_map_camera: Pose, T_odom_camera: Pose | None = None) -> int:
         """Add the next keyframe, and return its id: 0, 1, 2 ...
 
-        Only every fourth pixel is used for an image 640 pixels wide; the others may be missing.
+        Of an image 640 pixels wide only every fourth pixel is used; the others may be missing.
 
         Parameters
         ----------

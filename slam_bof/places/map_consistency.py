@@ -170,7 +170,7 @@ class MapConsistency:
     def contradicts(self, view: KnownView, T_map_view: Pose) -> bool:
         """Return whether a view at a pose violates the free space of the map.
 
-        Unlike ``reason_against`` this holds for places that the map does not cover as well.
+        Unlike ``reason_against``, this check does not require that the map covers the view.
         """
         found = self.coverage(view, T_map_view)
         if found is None:

@@ -80,7 +80,7 @@ RENAMED_KEYS = {
 class PluginChoice(Params):
     """The name of a plug-in and its options. In YAML a name alone is accepted."""
 
-    given_whole: ClassVar[bool] = True  # default options belong to the default plug-in alone
+    keeps_own_defaults: ClassVar[bool] = True  # default options belong to the default plug-in alone
 
     name: str = Field(description="Name of the plug-in, as slam-bof plugins lists it.")
     options: dict[str, Any] = Field(

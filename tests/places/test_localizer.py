@@ -130,7 +130,7 @@ def test_a_map_without_keyframes_knows_nothing(turn):
     assert found.reason == "the map has no keyframes"
 
 
-def test_a_place_that_is_twice_in_the_map_is_not_told(turn, aside):
+def test_a_place_that_is_twice_in_the_map_is_not_localised(turn, aside):
     frames, _, T_map_camera = turn
     beside = se3.pose(np.eye(3), [0.0, 0.0, 50.0])
     twice = hold([*frames, *frames], np.concatenate([T_map_camera, beside @ T_map_camera]))
@@ -139,7 +139,7 @@ def test_a_place_that_is_twice_in_the_map_is_not_told(turn, aside):
     assert "places match the image" in found.reason
 
 
-def test_a_double_known_by_other_keyframes_is_not_told(turn, aside):
+def test_a_double_known_by_other_keyframes_is_not_localised(turn, aside):
     """Of the second room only another part was seen than the one that the frame shows."""
     frames, _, T_map_camera = turn
     beside = se3.pose(np.eye(3), [0.0, 0.0, 50.0])
