@@ -205,7 +205,7 @@ def _params_sections(kind: type[Params], values: Any, path: str, level: int = 2)
         ]
     for name in kind.model_fields:
         value = getattr(values, name, None)
-        if isinstance(value, Params) and not value.given_whole:
+        if isinstance(value, Params) and not value.keeps_own_defaults:
             below = f"{path}.{name}" if path else name
             lines += _params_sections(type(value), value, below, level)
     return lines
@@ -215,7 +215,7 @@ def _table(kind: type[Params], values: Any) -> list[str]:
     rows = []
     for name, field in kind.model_fields.items():
         value = "" if field.is_required() else getattr(values, name)
-        if isinstance(value, Params) and not value.given_whole:
+        if isinstance(value, Params) and not value.keeps_own_defaults:
             continue
         if isinstance(value, Params):
             value = value.model_dump(mode="json").get("name")

@@ -1,7 +1,7 @@
-"""Every error a user can mend, in one tree.
+"""All errors that a user can correct, with one base class.
 
-Each message names the file (or key), what was found and what was expected, in
-one line. A bad argument to a function is a plain ``ValueError`` instead.
+Each message is one line that names the file or key, what was found and what was expected. A bad
+argument to a function raises a plain ``ValueError`` instead.
 """
 
 __all__ = [
@@ -16,11 +16,11 @@ __all__ = [
 
 
 class SlamBofError(Exception):
-    """Base of all errors that the user can mend."""
+    """Base class of all errors that the user can correct."""
 
 
 class ConfigError(SlamBofError):
-    """A configuration file, key or value is not what it should be."""
+    """A configuration file, key or value is invalid."""
 
 
 class DatasetError(SlamBofError):
@@ -28,11 +28,11 @@ class DatasetError(SlamBofError):
 
 
 class ModelError(SlamBofError):
-    """A model file is missing, of another version, or damaged."""
+    """A model file is missing, damaged or of an unsupported version."""
 
 
 class MapError(SlamBofError):
-    """A map.db is missing, locked, of another version, or damaged."""
+    """A map.db is missing, locked, damaged or of an unsupported version."""
 
 
 class PluginError(SlamBofError):
@@ -40,4 +40,4 @@ class PluginError(SlamBofError):
 
 
 class RunError(SlamBofError):
-    """A run's folder cannot be made, written or read."""
+    """The folder of a run cannot be created, written or read."""

@@ -1,8 +1,8 @@
-"""What a plug-in must offer. ``slam_bof`` knows its partners only by these protocols.
+"""The protocols that plug-ins implement. ``slam_bof`` uses plug-ins through these alone.
 
-A plug-in is a class found by an entry point (see ``registry``). One that takes options
-declares them as a nested ``Params`` (a ``slam_bof.types.Params``) and is built as
-``Plugin(Plugin.Params(...))``; data sets are built by ``open``.
+A plug-in is a class that is found by an entry point (see ``registry``). A plug-in with options
+declares them as a nested class ``Params`` (a ``slam_bof.types.Params``) and is built as
+``Plugin(Plugin.Params(...))``. Data sets are opened by ``open``.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ __all__ = [
 
 @runtime_checkable
 class Dataset(Protocol):
-    """A sequence of depth frames, read one by one."""
+    """A sequence of depth frames, which are read one at a time."""
 
     @property
     def name(self) -> str:
@@ -59,66 +59,66 @@ class Dataset(Protocol):
         """Read a frame; raise ``DatasetError`` if its file cannot be read."""
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
-        """Read the (H, W, 3) RGB image registered to the depth image, if there is one."""
+        """Read the (H, W, 3) RGB image that is registered to the depth image, if there is one."""
 
     def gray(self, index: int) -> NDArray[np.uint8] | None:
-        """Read the (H, W) grey image as the colour camera recorded it, if there is one."""
+        """Read the (H, W) grey image in the frame of the colour camera, if there is one."""
 
     def groundtruth(self) -> Trajectory | None:
-        """Return ``T_world_camera`` of every frame (NaN where unknown), if known of any."""
+        """Return ``T_world_camera`` of every frame, NaN where unknown; None if all are unknown."""
 
     def scenes(self) -> tuple[str, ...] | None:
-        """Return the true scene label of every frame, if known."""
+        """Return the true scene label of every frame, or None if they are unknown."""
 
 
 @runtime_checkable
 class DatasetFormat(Protocol):
-    """A format in which sequences are stored: what a data-set plug-in is.
+    """A format in which sequences are stored. Data-set plug-ins implement this protocol.
 
-    Usually it is the class of its sequences, with ``recognises`` and ``open`` as class methods;
-    such a class may inherit from ``Dataset`` for the methods that it does not define.
+    Usually it is the class of its sequences, with ``recognises`` and ``open`` as class methods.
+    Such a class may inherit from ``Dataset`` the methods that it does not define.
     """
 
     @property
     def name(self) -> str:
-        """The name of the format, as it is registered."""
+        """The name under which the format is registered."""
 
     def recognises(self, path: Path) -> str | bool:
-        """Return whether a folder or file is of this format, judged by its content.
+        """Return whether the content of a folder or file is in this format.
 
-        A string names what it was recognised by, such as ``rgb.txt, depth.txt``; it is empty if
-        the format does not match.
+        A string names the files that identify the format, such as ``rgb.txt, depth.txt``. It is
+        empty if the format does not match.
         """
 
     def open(self, path: Path) -> Dataset:
         """Open a sequence; raise ``DatasetError`` if something is missing or malformed.
 
-        A format that takes options (a nested ``Params``) is opened by ``open(path, params)``.
+        A format with options (a nested class ``Params``) is opened by ``open(path, params)``.
         """
 
 
 @runtime_checkable
 class LabelledImages(Dataset, Protocol):
-    """A data set of single images with scene labels, each with its own camera; no sequence."""
+    """A data set of single images with scene labels. Each image has its own camera."""
 
     is_train: NDArray[np.bool_]
-    """(N,) whether the official split trains with an image; else it tests with it."""
+    """(N,) whether the official split uses an image for training; it tests with the others."""
 
 
 @runtime_checkable
 class Descriptor(Protocol):
-    """Describes what a frame shows, by many local features or by one row for all of it."""
+    """Computes descriptors of a frame: many local ones, or one row for the whole frame."""
 
     needs_gray: ClassVar[bool]
-    """Whether it looks at the grey image; without, depth is all it needs."""
+    """Whether it needs the grey image as well as the depth image."""
     is_binary: ClassVar[bool]
-    """Whether values are bits packed in bytes."""
+    """Whether descriptors are strings of bits, packed in bytes."""
     comparison: ClassVar[str]
-    """How frames are compared: ``bag`` of words learnt of local features; or, of one row a
-    frame, ``cosine``, ``l1`` (mean absolute difference) or ``equal`` (share of equal values)."""
+    """How frames are compared. ``bag`` is a bag of words for local features. For one row per frame
+    it is ``cosine``, ``l1`` (mean absolute difference) or ``equal`` (share of equal values)."""
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[Any]:
-        """Return the descriptors, (M, D) or (M, D / 8) uint8, M = 0 if there are none."""
+        """Return descriptors (M, D), or (M, D / 8) uint8 if binary; M = 0 if there are none."""
 
 
 @runtime_checkable
@@ -126,18 +126,18 @@ class Odometry(Protocol):
     """Tracks the camera from frame to frame."""
 
     def process(self, frame: DepthFrame) -> Pose:
-        """Return ``T_odom_camera``, identity for the first frame; never fails on empty frames."""
+        """Return ``T_odom_camera``, identity for the first frame; never fail on empty frames."""
 
     def reset(self) -> None:
-        """Forget everything: the next frame is a first one."""
+        """Return to the initial state; the next frame is the first one."""
 
 
 @runtime_checkable
 class Verifier(Protocol):
-    """Decides by geometry whether two keyframes show the same place, and from where."""
+    """Registers two keyframes and decides by geometry whether they show the same place."""
 
     def prepare(self, frame: DepthFrame, points_camera: Array) -> Any:
-        """Make of a depth image, or of its points (N, 3), what ``verify`` needs of a keyframe."""
+        """Return what ``verify`` needs of a keyframe, given its frame and its points (N, 3)."""
 
     def verify(
         self,
@@ -147,15 +147,15 @@ class Verifier(Protocol):
         T_match_query: Array | None = None,
         seed: int = 0,
     ) -> list[Verification]:
-        """Align the query with each match, from guesses (n, 4, 4) or, without any, globally."""
+        """Register the query with each match, from guesses (n, 4, 4) or, if None, globally."""
 
 
 @runtime_checkable
 class ForgettingVerifier(Verifier, Protocol):
-    """A verifier that keeps what it prepares, and can forget it: for frames that only ask."""
+    """A verifier that stores what it prepares and can drop it again, for temporary queries."""
 
     def forget(self, prepared: Any) -> None:
-        """Forget what was prepared last; ``ValueError`` where it is anything else."""
+        """Drop the data that were prepared last; raise ``ValueError`` for any other data."""
 
 
 @runtime_checkable
@@ -163,53 +163,53 @@ class Backend(Protocol):
     """A pose graph over keyframes."""
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
-        """Add a node, and its odometry factor to the node before it.
+        """Add a node, and an odometry factor between it and the node before it.
 
-        Where a segment begins that factor is nearly free: odometry was lost in between.
+        At the start of a segment that factor is very weak, because odometry was lost in between.
         """
 
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
-        """Carry nodes by ``T`` (4, 4) in the map, as one rigid piece; before a loop joins them.
+        """Move nodes rigidly by ``T`` (4, 4), given in the map frame, before a loop joins them.
 
-        They are whole segments, tied to the others by nothing but nearly free factors.
+        The nodes form whole segments. Only very weak factors connect them with other nodes.
         """
 
     def add_loop(self, loop: Loop) -> None:
-        """Add a verified edge, with a robust kernel."""
+        """Add a verified edge as a between factor with a robust kernel."""
 
     def update(self) -> None:
-        """Optimise incrementally with all that came since the last call."""
+        """Optimise incrementally with the nodes and edges added since the last call."""
 
     def optimize(self) -> NDArray[np.float64]:
         """Optimise the whole graph until it converges.
 
-        Returns the weight of each loop in [0, 1], in the order they were added. Those below 0.5
-        contradict the rest and were left out.
+        Returns the weight of each loop in [0, 1], in the order in which they were added. Loops
+        with a weight below 0.5 contradict the others and were left out.
         """
 
     def poses(self) -> Array:
         """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
 
     def write_g2o(self, path: Path) -> None:
-        """Write the graph as .g2o (translation first, as g2o has it)."""
+        """Write the graph as a .g2o file, whose tangent vectors have the translation first."""
 
 
 @runtime_checkable
 class Observer(Protocol):
-    """Looks on while frames are processed: a progress bar, a live viewer, a test."""
+    """Is notified while frames are processed: a progress bar, a live viewer or a test."""
 
     def on_start(self, n_frames: int) -> None:
-        """Take note of how many frames will come."""
+        """Receive the number of frames, before the first one."""
 
     def on_step(self, frame_index: int, step: Step) -> None:
-        """Take note of a processed frame."""
+        """Receive the result of a processed frame."""
 
     def on_warning(self, message: str) -> None:
-        """Take note of something that went wrong but did not stop the run."""
+        """Receive a warning about a problem that did not stop the run."""
 
 
 class NullObserver:
-    """The observer for when nobody looks."""
+    """An observer that does nothing."""
 
     def on_start(self, n_frames: int) -> None:
         """Do nothing."""

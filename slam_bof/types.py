@@ -1,4 +1,4 @@
-"""The records that travel between the stages, all frozen.
+"""Data types passed between the stages of the pipeline. All are frozen.
 
 Poses are 4x4 float64 matrices named ``T_a_b``: ``p_a = T_a_b @ p_b``. Camera
 frames are x right, y down, z forward. Metres, radians and seconds.
@@ -44,45 +44,45 @@ Pose = NDArray[np.float64]
 """A rigid transform as a (4, 4) matrix."""
 
 INVALID_DEPTH_MM = 65535
-"""What 7-Scenes writes, besides 0, where the sensor saw nothing."""
+"""Value of a pixel without depth in 7-Scenes files; 0 has the same meaning."""
 
 Derived = TypeVar("Derived")
 
 LOST = -1
-"""In place of a segment, of frames while odometry was lost."""
+"""Segment number of frames that were taken while odometry was lost."""
 
 
 class Params(BaseModel):
-    """Base of every part's parameters: frozen, and an unknown key is an error."""
+    """Base class of all parameters. They are frozen, and an unknown key is an error."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
-    given_whole: ClassVar[bool] = False
-    """Whether, as a part of others, it is never completed by their defaults."""
+    keeps_own_defaults: ClassVar[bool] = False
+    """Whether an enclosing model leaves the missing keys to the defaults of this class itself."""
 
     @model_validator(mode="before")
     @classmethod
-    def _keep_the_defaults_of_parts(cls, given: Any) -> Any:
-        """Complete a part given by some of its keys with what the others are by default *here*.
+    def _keep_nested_defaults(cls, given: Any) -> Any:
+        """Complete nested parameters that are given in part with the defaults *of this class*.
 
-        Alignment has other defaults in tracking than in verification; a file that sets one
-        number of either must not change the rest.
+        Alignment has other defaults in tracking than in verification. A file that sets one
+        number of either must not change the others.
         """
         if not isinstance(given, dict):
             return given
-        parts = {
+        completed = {
             name: {**field.default.model_dump(), **given[name]}
             for name, field in cls.model_fields.items()
             if isinstance(given.get(name), dict)
             and isinstance(field.default, Params)
-            and not field.default.given_whole
+            and not field.default.keeps_own_defaults
         }
-        return {**given, **parts}
+        return {**given, **completed}
 
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A pinhole camera: focal lengths and principal point in pixels, image size."""
+    """A pinhole camera: image size, focal lengths and principal point, all in pixels."""
 
     width: int
     height: int
@@ -99,17 +99,18 @@ class DepthFrame:
     Parameters
     ----------
     stamp_s
-        Time in seconds, on any clock that grows.
+        Time in seconds, on any clock that increases.
     depth
-        (H, W), either uint16 millimetres (0 and 65535 missing) or float metres
-        (0, negative and non-finite missing).
+        (H, W) depth, either uint16 in millimetres (0 and 65535 mean missing) or float in metres
+        (0, negative and non-finite values mean missing).
     intrinsics
-        Of the depth camera, for this image size.
+        Intrinsics of the depth camera for this image size.
 
     Raises
     ------
     ValueError
-        If the image is not (H, W) as the intrinsics say, or of another type.
+        If the size of the image differs from that of the intrinsics, or its type is neither
+        uint16 nor float.
     """
 
     stamp_s: float
@@ -120,17 +121,19 @@ class DepthFrame:
     )
 
     def __post_init__(self) -> None:
-        """Check shape and type, once, where the image enters."""
+        """Check shape and type once, when the frame is made."""
         expected = (self.intrinsics.height, self.intrinsics.width)
         if self.depth.shape != expected:
-            raise ValueError(f"depth must be {expected} as its intrinsics, got {self.depth.shape}")
+            raise ValueError(
+                f"depth must be {expected} like its intrinsics, got {self.depth.shape}"
+            )
         if self.depth.dtype != np.uint16 and self.depth.dtype.kind != "f":
             raise ValueError(f"depth must be uint16 mm or float m, got {self.depth.dtype}")
 
     def derive(self, compute: Callable[[DepthFrame], Derived]) -> Derived:
-        """Return ``compute(frame)``, computed at the first call and kept with the frame.
+        """Return ``compute(frame)``. The result of the first call is cached in the frame.
 
-        Tracking, recognition and verification each need the small view of the same frame.
+        Tracking, recognition and verification all need the same ``DepthView`` of a frame.
         """
         if compute not in self._derived:
             self._derived[compute] = compute(self)
@@ -138,7 +141,7 @@ class DepthFrame:
         return derived
 
     def depth_m(self, stride: int = 1) -> NDArray[np.float32]:
-        """Return every ``stride``-th pixel's depth in metres, 0 where it is missing."""
+        """Return the depth of every ``stride``-th pixel in metres, 0 where it is missing."""
         depth = np.ascontiguousarray(self.depth[::stride, ::stride])
         if depth.dtype == np.uint16:
             metres = depth * np.float32(0.001)
@@ -152,8 +155,8 @@ class DepthFrame:
 class Contours:
     """The closed contours of one frame's layer images.
 
-    ``points_px[i]`` is an (M_i, 2) int32 array of the (x, y) corners of a closed polygon, in
-    order, found in layer ``layer[i]``; ``layer`` is (C,) int32.
+    ``points_px[i]`` is an (M_i, 2) int32 array with the (x, y) corners of a closed polygon in
+    order. It was found in layer ``layer[i]``; ``layer`` is (C,) int32.
     """
 
     points_px: tuple[NDArray[np.int32], ...]
@@ -168,8 +171,8 @@ class Contours:
 class Bag:
     """A sparse bag of visual words: sorted distinct words and their L1-normalised weights.
 
-    ``words`` is (W,) int32, ``weights`` (W,) float32, positive, summing to 1 (or both
-    empty, for a frame that shows nothing).
+    ``words`` is (W,) int32. ``weights`` is (W,) float32, positive, and sums to 1. Both are empty
+    for a frame without features.
     """
 
     words: NDArray[np.int32]
@@ -178,7 +181,7 @@ class Bag:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """A scene label with the probability of each class, (C,), in ``classes`` order."""
+    """A scene label, and the probabilities (C,) of all classes in the order of ``classes``."""
 
     label: str
     probability: float
@@ -188,11 +191,13 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframe:
-    """A frame that the map keeps: ids count keyframes, ``frame_index`` counts frames.
+    """A frame that the map keeps.
 
-    ``T_odom_camera`` and ``segment`` are as ``tracking.Track`` has them. ``scene`` is what this
-    keyframe alone shows, ``smoothed`` what is likely by the keyframes before it as well.
-    ``session`` counts the runs that the map is of; frames and odometry are those of one.
+    ``id`` counts keyframes and ``frame_index`` counts frames. ``T_odom_camera`` and ``segment``
+    are defined in ``tracking.Track``. ``scene`` is the label of this keyframe alone; ``smoothed``
+    also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
+    that the keyframe comes from: a map may hold several runs, each with its own frames and
+    odometry.
     """
 
     id: int
@@ -208,11 +213,12 @@ class Keyframe:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verification:
-    """What geometry says of a pair of point clouds.
+    """The result of registering a pair of keyframes.
 
-    ``overlap`` is the share of the query's points with a match nearby, ``rmse_m`` their
-    point-to-plane error, ``information`` (6, 6) is for the tangent of ``T_match_query``,
-    rotation first, as GTSAM has it. ``reason`` says in words why ``accepted`` is false.
+    ``overlap`` is the share of the query's points that have a corresponding point in the match,
+    and ``rmse_m`` is their point-to-plane error. ``information`` (6, 6) is that of the tangent of
+    ``T_match_query``, rotation first (the convention of GTSAM). ``reason`` says in words why
+    ``accepted`` is false.
     """
 
     accepted: bool
@@ -224,44 +230,43 @@ class Verification:
 
 
 class CandidateSource(StrEnum):
-    """What proposed a pair of keyframes."""
+    """The method that proposed a pair of keyframes."""
 
     VIEW = "view"
     """Place recognition by depth views."""
     BAG = "bag"
     """Place recognition by bags of BOF words, as in the paper."""
     PROXIMITY = "proximity"
-    """The map: by its poses the two keyframes look at the same surfaces."""
+    """The poses of the map: according to them both keyframes see the same surfaces."""
     PRUNED = "pruned"
-    """Pruning: the edge stands for keyframes that were removed between the two."""
+    """Pruning: the edge replaces keyframes that were removed between the two."""
 
 
 class EdgeKind(StrEnum):
-    """What an edge between two keyframes claims."""
+    """The kind of an edge between two keyframes."""
 
     LOOP = "loop"
-    """The camera came back: the two are far apart in time, and passed all checks for loops."""
+    """A revisit: the two are far apart in time and passed all checks for loops."""
     COVISIBILITY = "covisibility"
-    """Neighbours, in time or in the map, that see the same surfaces."""
+    """Two neighbours in time or in the map that see the same surfaces."""
 
 
 class Decision(StrEnum):
-    """What became of a candidate."""
+    """The decision about a candidate."""
 
     OPEN = ""
     """Not decided yet."""
     ACCEPTED = "accepted"
     REJECTED = "rejected"
     HELD = "held"
-    """Verified by geometry, and waiting for other loops to agree."""
+    """Verified by geometry. It enters the graph when other loops agree with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """One line of the audit trail: a pair of keyframes that was considered as an edge.
 
-    ``reason`` says in words why the decision is what it is; it is empty where the pair passed
-    every check.
+    ``reason`` explains the decision in words. It is empty if the pair passed every check.
     """
 
     query_id: int
@@ -296,11 +301,11 @@ class Loop:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FramePose:
-    """Where odometry had a frame, and where tracking has it, both (4, 4).
+    """The poses (4, 4) of a frame from odometry (``T_odom_raw``) and after tracking.
 
-    ``segment`` is the uninterrupted track it is of, ``LOST`` while odometry was lost.
-    ``T_view_camera`` is how the sensor stood in the view that was cut of its point cloud, None for
-    a depth image.
+    ``segment`` is the number of the uninterrupted track that the frame belongs to, or ``LOST``
+    while odometry was lost. ``T_view_camera`` is the pose of the sensor in the virtual camera that
+    its point cloud was projected into, and None for a depth image.
     """
 
     stamp_s: float
@@ -314,8 +319,8 @@ class FramePose:
 class SubsampledDepth:
     """The pixels of a depth image that the map keeps, chosen by ``geometry.subsample``.
 
-    ``depth`` is (h, w) uint16 in steps of which ``per_m`` make a metre, 0 where missing;
-    ``intrinsics`` are those of the whole image.
+    ``depth`` is (h, w) uint16 in steps of 1 / ``per_m`` metres, 0 where missing. ``intrinsics``
+    are those of the full image.
     """
 
     depth: NDArray[np.uint16]
@@ -325,12 +330,13 @@ class SubsampledDepth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeRecord:
-    """All that the map learns with a keyframe, and all that it takes to go on from there.
+    """Everything that is saved with a keyframe, enough to resume the run after it.
 
-    ``frames`` are those since the keyframe before, this one the last of them. ``measured`` are
-    its own loops that geometry verified, ``admitted`` those that entered the graph with it, in
-    that order: of its own not all, of earlier keyframes some that were held back. ``state`` is what
-    else the plug-in remembers, as JSON has it.
+    ``frames`` are the frames after the keyframe before, up to and including this one.
+    ``measured`` are the loops of this keyframe that geometry verified. ``admitted`` are the loops
+    that entered the graph with it, in that order: some of ``measured`` may be missing, and held
+    loops of earlier keyframes may be among them. ``state`` is the remaining state of the plug-in
+    as JSON values.
     """
 
     keyframe: Keyframe
@@ -344,13 +350,13 @@ class KeyframeRecord:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """The answer to one frame.
+    """The result of processing one frame.
 
-    ``keyframe`` is None where the frame was not made one; ``scene`` is the latest label;
-    ``loops`` are the edges accepted just now, ``candidates`` all that were considered for
-    them; ``T_map_odom`` corrects the odometry frame, as REP-105 has it:
-    ``T_map_camera = T_map_odom @ T_odom_camera``. Where ``is_lost``, the odometry cannot be
-    right, and nothing better is known.
+    ``keyframe`` is None if the frame did not become one. ``scene`` is the latest label. ``loops``
+    are the edges that were accepted with this frame, and ``candidates`` are all pairs that were
+    considered for them. ``T_map_odom`` corrects the odometry frame (REP 105):
+    ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
+    wrong and no better one is known.
     """
 
     keyframe: Keyframe | None
@@ -363,13 +369,13 @@ class Step:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """Stamps (N,) in seconds, and the poses (N, 4, 4) ``T_world_camera`` at them."""
+    """Time stamps (N,) in seconds, and the poses ``T_world_camera`` (N, 4, 4) at these times."""
 
     stamps_s: Array = field(default_factory=lambda: np.empty(0))
     poses: Array = field(default_factory=lambda: np.empty((0, 4, 4)))
 
     def __post_init__(self) -> None:
-        """Check that there is one pose for each stamp."""
+        """Check that there is one pose per time stamp."""
         if self.poses.shape != (len(self.stamps_s), 4, 4):
             raise ValueError(f"poses must be ({len(self.stamps_s)}, 4, 4), got {self.poses.shape}")
 

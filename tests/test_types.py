@@ -36,7 +36,7 @@ def test_stride_takes_every_nth_pixel_and_leaves_the_image_alone(dtype: type) ->
 
 
 def test_depth_must_have_the_size_that_the_intrinsics_say() -> None:
-    with pytest.raises(ValueError, match=r"must be \(2, 3\) as its intrinsics, got \(3, 2\)"):
+    with pytest.raises(ValueError, match=r"must be \(2, 3\) like its intrinsics, got \(3, 2\)"):
         DepthFrame(0.0, np.zeros((3, 2), np.uint16), CAMERA)
     with pytest.raises(ValueError, match=r"got \(2, 3, 3\)"):
         DepthFrame(0.0, np.zeros((2, 3, 3), np.uint16), CAMERA)

@@ -1,4 +1,4 @@
-"""An array that grows row by row."""
+"""An array that grows row by row, and reusable buffers."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ __all__ = ["GrowingArray", "thread_buffer"]
 
 
 class GrowingArray:
-    """Rows of one shape and type, in one block of memory that grows by an eighth.
+    """Rows of one shape and type in a block of memory that grows by one eighth when it is full.
 
-    That wastes little and still copies seldom.
+    This wastes little memory and copies rarely.
 
     >>> stack = GrowingArray((2,), np.int32)
     >>> stack.append([1, 2])
@@ -35,19 +35,19 @@ class GrowingArray:
 
     @property
     def rows(self) -> NDArray[Any]:
-        """The rows so far, (n, *shape); a view, which rows that replace truncated ones change."""
+        """A view (n, *shape) of all rows. It changes when truncated rows are overwritten."""
         return self._block[: self._n]
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the block, with the room that it has to grow."""
+        """Size of the block in bytes, spare rows included."""
         return self._block.nbytes
 
     def append(self, row: Any) -> None:
         """Add a row."""
         if self._n == len(self._block):
-            room = np.empty((4 + self._n // 8, *self._block.shape[1:]), self._block.dtype)
-            self._block = np.concatenate([self._block, room])
+            spare = np.empty((4 + self._n // 8, *self._block.shape[1:]), self._block.dtype)
+            self._block = np.concatenate([self._block, spare])
         self._block[self._n] = row
         self._n += 1
 
@@ -55,31 +55,31 @@ class GrowingArray:
         """Add rows (m, *shape)."""
         n = self._n + len(rows)
         if n > len(self._block):
-            room = np.empty((n + n // 8, *self._block.shape[1:]), self._block.dtype)
-            room[: self._n] = self.rows
-            self._block = room
+            grown = np.empty((n + n // 8, *self._block.shape[1:]), self._block.dtype)
+            grown[: self._n] = self.rows
+            self._block = grown
         self._block[self._n : n] = rows
         self._n = n
 
     def truncate(self, n: int) -> None:
-        """Drop all rows but the first ``n``."""
+        """Keep only the first ``n`` rows."""
         self._n = min(n, self._n)
 
 
-class _Arrays(threading.local):
+class _Buffers(threading.local):
     def __init__(self) -> None:
         self.by_name: dict[str, NDArray[np.uint8]] = {}
 
 
-_arrays = _Arrays()
+_buffers = _Buffers()
 
 
 def thread_buffer(name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return an array of 8 bits, with whatever the last user of that name has left in it.
+    """Return a uint8 buffer that is reused by name; its content is undefined.
 
-    It is the caller's until the same thread asks for the name again.
+    The caller may use it until the same thread asks for the same name again.
     """
-    array = _arrays.by_name.get(name)
+    array = _buffers.by_name.get(name)
     if array is None or array.shape != shape:
-        array = _arrays.by_name[name] = np.empty(shape, np.uint8)
+        array = _buffers.by_name[name] = np.empty(shape, np.uint8)
     return array

@@ -1,4 +1,4 @@
-"""Native libraries: Open3D so that it works everywhere, and each on one thread."""
+"""Loading of native libraries, and limits on their threads and their output."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["import_open3d", "one_blas_thread", "one_cpu", "silenced"]
 
 @functools.cache
 def import_open3d() -> ModuleType:
-    """Import Open3D, with a libusb if the system has none, and with one thread.
+    """Import Open3D with a single thread, and with libusb from a package if the system has none.
 
-    Its wheel needs libusb-1.0, which bare machines lack: ``libusb-package`` carries one. Its
-    ICP adds up in an order that depends on the threads, so poses would differ in their last
-    bits from run to run; one thread keeps the order, and one is enough for a keyframe's cloud.
+    The Open3D wheel needs libusb-1.0, which minimal systems lack; ``libusb-package`` provides it.
+    With several threads the summation order in Open3D's ICP varies, so that the last bits of
+    poses would differ between runs. One thread is enough for the point cloud of a keyframe.
     """
     if ctypes.util.find_library("usb-1.0") is None:
         import libusb_package
@@ -36,10 +36,10 @@ def import_open3d() -> ModuleType:
 
 @contextmanager
 def one_blas_thread() -> Iterator[None]:
-    """Hold NumPy's products to one thread, within a ``with`` block or a decorated function.
+    """Limit BLAS to one thread within a ``with`` block or a decorated function.
 
-    Matrices here are small: a second thread doubles the CPU time, waiting for its share, and
-    takes hardly anything off the wall's.
+    The matrices are small: a second thread doubles the CPU time, mostly by waiting, and hardly
+    shortens the wall time.
     """
     with _blas().limit(limits=1, user_api="blas"):
         yield
@@ -47,13 +47,16 @@ def one_blas_thread() -> Iterator[None]:
 
 @functools.cache
 def _blas() -> ThreadpoolController:
-    """Return the libraries loaded so far; to find them takes longer than most products."""
+    """Return the controller of the loaded BLAS. It is cached because the search for it is slow."""
     return ThreadpoolController()
 
 
 @contextmanager
 def one_cpu() -> Iterator[None]:
-    """Show one CPU to what is imported: TBB counts them once, and has no other switch here."""
+    """Restrict the process to one CPU while a library is imported.
+
+    TBB counts the CPUs once at import and offers no other way to limit its threads here.
+    """
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -67,18 +70,18 @@ def one_cpu() -> Iterator[None]:
 
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Let what native code prints on the standard output go nowhere.
+    """Discard what native code prints on the standard output.
 
-    The stream is the whole process's: what other threads print meanwhile is lost as well.
+    The stream belongs to the whole process: output of other threads is lost meanwhile as well.
     """
     libc = ctypes.CDLL(None)
     libc.fflush(None)
-    kept, nowhere = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 1)
+    saved, devnull = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, 1)
     try:
         yield
     finally:
-        libc.fflush(None)  # what it has buffered still goes nowhere
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(nowhere)
+        libc.fflush(None)  # discards what is still buffered
+        os.dup2(saved, 1)
+        os.close(saved)
+        os.close(devnull)

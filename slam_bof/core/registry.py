@@ -1,7 +1,7 @@
-"""The one place where the name of a plug-in becomes its class.
+"""The plug-in registry: it finds and imports plug-ins by name.
 
-Plug-ins are entry points of the groups ``slam_bof.<port>``: those that come with slam_bof enter
-by the same door as anybody's. Only the one that is named is imported.
+Plug-ins are entry points of the groups ``slam_bof.<port>``. Those that come with slam_bof are
+found in the same way as those of other packages. Only the plug-in that is named is imported.
 """
 
 from __future__ import annotations
@@ -40,20 +40,19 @@ __all__ = [
 ]
 
 PORTS = ("datasets", "odometry", "verifiers", "backends", "descriptors")
-"""The entry-point groups, without their ``slam_bof.`` before it."""
+"""The entry-point groups without their prefix ``slam_bof.``."""
 
 PIP_NAMES = {"cv2": "opencv-python-headless", "sklearn": "scikit-learn", "yaml": "pyyaml"}
-"""What pip calls a library, where that is not its import name."""
-
+"""Names on PyPI of libraries whose import name differs."""
 
 N_LISTED = 8
-"""How many entries of a folder an error lists."""
-HINT = "--dataset NAME says what it lacks to be one of them"
+"""Number of entries of a folder that an error message lists."""
+HINT = "--dataset NAME says what is missing for that layout"
 
 
 @dataclass(frozen=True, slots=True)
 class Listing:
-    """An installed plug-in: its port and name, what it loads, and the package that brought it."""
+    """An installed plug-in: its port, name and import target, and the package it comes from."""
 
     port: str
     name: str
@@ -64,23 +63,23 @@ class Listing:
 
 @dataclass(frozen=True, slots=True)
 class Recognition:
-    """Which data-set plug-in a folder or file is for, and by what that was told."""
+    """The data-set plug-in that reads a folder or file, and the files that identify it."""
 
     name: str
     why: str
 
     def __str__(self) -> str:
-        """Say both in words."""
+        """Return both in words."""
         return f"recognised as {self.name}: {self.why}"
 
 
 def names(port: str) -> list[str]:
-    """Return the names of a port's installed plug-ins, sorted; imports none of them."""
+    """Return the sorted names of the installed plug-ins of a port, without importing them."""
     return sorted(_found(port))
 
 
 def listing() -> list[Listing]:
-    """Return all installed plug-ins, by port and name; imports none of them."""
+    """Return all installed plug-ins, sorted by port and name, without importing them."""
     return [
         Listing(
             port,
@@ -100,7 +99,7 @@ def load(port: str, name: str) -> Any:
     Raises
     ------
     PluginError
-        If there is none of that name, or it or a library that it needs cannot be imported.
+        If no plug-in has that name, or it or a library that it needs cannot be imported.
     """
     found = _found(port)
     if name not in found:
@@ -115,24 +114,24 @@ def load(port: str, name: str) -> Any:
             "",
             entry.module.split(".")[0],
         ):
-            reason = _remedy(entry, library)
+            reason = _install_hint(entry, library)
         else:
             reason = f"cannot be loaded: {' '.join(str(error).split())}"
         raise PluginError(f"{port} plug-in {name!r} {reason}") from error
 
 
 def missing(item: Listing) -> str:
-    """Return which library a plug-in lacks and how to get it, empty if none; imports nothing.
+    """Return which library a plug-in lacks and how to install it, or an empty string if none.
 
-    Every import in the plug-in's module counts, wherever it stands, and so do those of modules
-    of its own package that it imports at the top.
+    The source is searched for import statements; nothing is imported. The search covers the whole
+    module of the plug-in, and the modules of its own package that it imports at module level.
     """
     entry = _found(item.port)[item.name]
     package = entry.module.split(".")[0]
-    modules, seen = [entry.module], set()
+    modules, visited = [entry.module], set()
     while modules:
         module = modules.pop()
-        seen.add(module)
+        visited.add(module)
         try:
             tree = _parse_module(module)
         except (ImportError, OSError, SyntaxError, ValueError) as error:
@@ -140,14 +139,14 @@ def missing(item: Listing) -> str:
         for name in sorted(_imported(ast.walk(tree), module)):
             library = name.split(".")[0]
             if library != package and importlib.util.find_spec(library) is None:
-                return _remedy(entry, library)
+                return _install_hint(entry, library)
         own = (name for name in _imported(tree.body, module) if name.split(".")[0] == package)
-        modules += sorted(name for name in own if name not in seen and _find(name))
+        modules += sorted(name for name in own if name not in visited and _find(name))
     return ""
 
 
 def _find(module: str) -> ModuleSpec | None:
-    """Find a module without importing the packages that it is in."""
+    """Find a module without importing its parent packages."""
     root, *names = module.split(".")
     spec = importlib.util.find_spec(root)
     for name in names:
@@ -166,7 +165,7 @@ def _parse_module(module: str) -> ast.Module:
 
 
 def _imported(nodes: Iterable[ast.AST], module: str) -> Iterator[str]:
-    """Yield the full names of modules, or of what is imported from them."""
+    """Yield the full names of imported modules, and of the names imported from them."""
     for node in nodes:
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -178,8 +177,8 @@ def _imported(nodes: Iterable[ast.AST], module: str) -> Iterator[str]:
             yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
-def _remedy(entry: EntryPoint, library: str) -> str:
-    """Say how to install a library: by the extra that its package has for that, if there is one."""
+def _install_hint(entry: EntryPoint, library: str) -> str:
+    """Return how to install a library, by an extra of the plug-in's package if there is one."""
     package = PIP_NAMES.get(library, library.replace("_", "-"))
     command = f"pip install {package}"
     for text in (entry.dist.requires if entry.dist else None) or []:
@@ -191,14 +190,14 @@ def _remedy(entry: EntryPoint, library: str) -> str:
 
 
 def check_options(port: str, name: str, options: Mapping[str, Any] | None = None) -> Params | None:
-    """Check a plug-in's options against its nested ``Params``; None where it has no such.
+    """Validate the options of a plug-in; return None if it has no nested class ``Params``.
 
     Raises
     ------
     PluginError
-        As ``load``.
+        If the plug-in cannot be loaded (see ``load``).
     ConfigError
-        If an option is unknown or has a value that it cannot have.
+        If an option is unknown or its value is invalid.
     """
     plugin = load(port, name)
     where = f"{port} plug-in {name!r}"
@@ -214,19 +213,19 @@ def check_options(port: str, name: str, options: Mapping[str, Any] | None = None
 
 
 def build(port: str, name: str, options: Mapping[str, Any] | None = None) -> Any:
-    """Make a plug-in with its options; raises as ``check_options``."""
+    """Build a plug-in with its options; it raises the errors of ``check_options``."""
     params = check_options(port, name, options)
     plugin = load(port, name)
     return plugin() if params is None else plugin(params)
 
 
 def recognise_dataset(path: Path) -> Recognition:
-    """Find the data-set plug-in for a folder or file by its content.
+    """Find the data-set plug-in that recognises the content of a folder or file.
 
     Raises
     ------
     DatasetError
-        If there is nothing, no plug-in recognises it, or several do.
+        If the path does not exist, or no plug-in or more than one recognises it.
     """
     if not path.exists():
         raise DatasetError(f"{path}: found nothing, expected the folder of a sequence")
@@ -258,9 +257,10 @@ def open_dataset(
     Raises
     ------
     DatasetError
-        If there is no such folder, none or several recognise it, or it is malformed.
+        If the folder does not exist, no plug-in or more than one recognises it, or it is
+        malformed.
     ConfigError, PluginError
-        As ``check_options``.
+        See ``check_options``.
     """
     if name == "auto":
         name = recognise_dataset(path).name
@@ -271,7 +271,7 @@ def open_dataset(
 
 
 def _recognisers(path: Path) -> tuple[list[Recognition], list[str]]:
-    """Return who recognises a path, and which plug-ins could not be asked, and why."""
+    """Return the plug-ins that recognise a path, and why others could not be loaded."""
     found, missing = [], []
     for layout in names("datasets"):
         try:
@@ -286,7 +286,7 @@ def _recognisers(path: Path) -> tuple[list[Recognition], list[str]]:
 
 
 def _content(path: Path) -> str:
-    """Say what stands in a folder, and whether one below it would be recognised."""
+    """Describe the content of a folder, and suggest a subfolder that is recognised."""
     entries = sorted(path.iterdir())
     listed = [entry.name + "/" * entry.is_dir() for entry in entries[:N_LISTED]]
     if len(entries) > N_LISTED:

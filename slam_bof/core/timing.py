@@ -1,4 +1,4 @@
-"""Where the time goes: wall seconds by stage."""
+"""Measurement of wall time by stage, CPU time and memory."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ __all__ = ["StageClock", "Usage"]
 
 
 class StageClock:
-    """Adds up wall time by stage name."""
+    """Accumulates wall time by the name of the stage."""
 
     def __init__(self) -> None:
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Count the time of the ``with`` block towards ``name``."""
+        """Add the time of the ``with`` block to the stage ``name``."""
         start = time.perf_counter()
         try:
             yield
@@ -31,7 +31,7 @@ class StageClock:
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """Processor and wall seconds, from a first call to ``now`` to a second one."""
+    """CPU and wall time in seconds: a reading of both clocks, or the difference of two readings."""
 
     cpu_s: float
     wall_s: float
@@ -42,11 +42,11 @@ class Usage:
         return cls(time.process_time(), time.perf_counter())
 
     def __sub__(self, earlier: Usage) -> Usage:
-        """Return what passed between two readings."""
+        """Return the time between two readings."""
         return Usage(self.cpu_s - earlier.cpu_s, self.wall_s - earlier.wall_s)
 
 
 def peak_rss_mb() -> float:
-    """Return the most memory that this process has held so far, in MB (1e6 bytes)."""
+    """Return the peak resident memory of this process so far, in MB (1e6 bytes)."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak * (1 if sys.platform == "darwin" else 1024) / 1e6

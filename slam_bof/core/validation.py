@@ -1,4 +1,4 @@
-"""One line for what pydantic has to say about parameters."""
+"""One-line messages for the validation errors of pydantic."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ __all__ = ["describe_error", "suggest"]
 
 
 def describe_error(error: ValidationError, model: type[BaseModel]) -> str:
-    """Say which key is wrong, what was found and what was expected.
+    """Return a message that names the wrong key, what was found and what was expected.
 
     Parameters
     ----------
     error
-        What validating ``model`` raised; only its first complaint is told.
+        The error that validating ``model`` raised. Only its first entry is reported.
     model
-        Whose keys are known, for a hint at the nearest to one that is not.
+        The model. The message for an unknown key suggests the most similar key of it.
 
     Examples
     --------
@@ -44,17 +44,17 @@ def describe_error(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def suggest(word: str, known: Sequence[str]) -> str:
-    """Ask whether the nearest known word was meant or, if none is near, list them all.
+    """Suggest the most similar known word, or list all known words if none is similar.
 
     >>> suggest("indor", ["indoor", "paper"])
     "did you mean 'indoor'?"
     """
-    near = difflib.get_close_matches(word, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else f"known: {', '.join(known) or 'none'}"
+    similar = difflib.get_close_matches(word, known, n=1)
+    return f"did you mean {similar[0]!r}?" if similar else f"known: {', '.join(known) or 'none'}"
 
 
 def _keys(model: Any, path: Sequence[str]) -> list[str]:
-    """Return the keys that a model has where ``path`` leads."""
+    """Return the keys of the nested model at ``path``."""
     for part in path:
         field = model.model_fields.get(part)
         model = field.annotation if field else None

@@ -1,4 +1,4 @@
-"""Depth frames to points (paper, section 3.2): ``p = ((u - cx) z / fx, (v - cy) z / fy, z)``."""
+"""Back-projection (paper, section 3.2): ``p = ((u - cx) z / fx, (v - cy) z / fy, z)``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["PointParams", "back_project", "points_camera", "points_camera_f32"]
 
 
 class PointParams(Params):
-    """Which pixels become points."""
+    """Parameters of the selection of pixels that become points."""
 
     stride: int = Field(2, gt=0, description="Step between the pixels used, in rows and columns.")
     min_range_m: float = Field(0.1, ge=0, description="Smallest depth used.")
@@ -32,17 +32,17 @@ class PointParams(Params):
 
 
 def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1) -> Array:
-    """Return the points that a depth image shows.
+    """Return the points of a depth image.
 
     Parameters
     ----------
     depth_m
-        (ceil(height / stride), ceil(width / stride)) metres, 0 where missing: what
-        ``DepthFrame.depth_m(stride)`` returns.
+        (ceil(height / stride), ceil(width / stride)) depth in metres, 0 where missing, as returned
+        by ``DepthFrame.depth_m(stride)``.
     intrinsics
-        Of the full image.
+        Intrinsics of the full image.
     stride
-        Pixels of the full image from one entry of ``depth_m`` to the next.
+        Number of pixels of the full image per entry of ``depth_m``, in each direction.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
     Raises
     ------
     ValueError
-        If ``depth_m`` is not of the shape that the intrinsics and the stride give.
+        If the shape of ``depth_m`` does not match the intrinsics and the stride.
 
     Examples
     --------
@@ -64,10 +64,10 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
     expected = (len(y_per_z), len(x_per_z))
     if depth_m.shape != expected:
         raise ValueError(
-            f"depth_m must be {expected} at stride {stride}, as its intrinsics, got {depth_m.shape}"
+            f"depth_m must be {expected} at stride {stride} for its intrinsics, got {depth_m.shape}"
         )
     depth = depth_m.astype(np.float64)
-    # The image is a grid: one row and one column of ray slopes stand for all pixels.
+    # The slopes of the rays are the same in every row and in every column.
     points = np.stack([depth * x_per_z, depth * y_per_z[:, None], depth], axis=-1)
     found: Array = points[depth > 0]
     return found
@@ -81,9 +81,9 @@ def points_camera(frame: DepthFrame, params: PointParams) -> Array:
 
 
 def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.float32]:
-    """Return what ``points_camera`` does in single precision, for BOF.
+    """Return the same points as ``points_camera`` in single precision, for BOF descriptors.
 
-    (N, 3) float32, each column contiguous, which is what ``layers`` is quickest with.
+    The result is (N, 3) float32 with contiguous columns, which suits the computation of layers.
     """
     depth_m = frame.depth_m(params.stride)
     valid = (depth_m >= params.min_range_m) & (depth_m <= params.max_range_m) & (depth_m > 0)

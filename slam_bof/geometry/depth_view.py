@@ -1,4 +1,4 @@
-"""A depth image made small, with the normals of its surfaces: what alignment looks at."""
+"""The small depth image with surface normals that registration uses."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ __all__ = [
 ]
 
 WIDTH_PX = 160
-"""About so wide is the image that points are taken of; a view has every second of its pixels."""
+"""Approximate width of the image that points are taken from. A view has half this width."""
 MIN_RANGE_M = 0.1
 MAX_RANGE_M = 8.0
-"""Depths outside are dropped."""
+"""Depths outside this range are dropped."""
 STEPS_PER_M = 8000
-"""Depths in metres are kept in such steps, an eighth of a millimetre."""
+"""Resolution at which the map keeps depths in metres: steps of 1/8 mm."""
 MAX_SLOPE = 0.1
-"""A step in depth of more than this share, plus as much of a metre, is an edge."""
+"""Depth differences of more than this share of (1 m + depth) are edges."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthView:
-    """Every few pixels of a depth image.
+    """A subsampled depth image with surface normals.
 
-    ``depth_m`` (h, w) and ``normals_camera`` (h, w, 3), towards the camera, are float32, zero
-    where unknown; ``intrinsics`` are of this small image.
+    ``depth_m`` (h, w) and ``normals_camera`` (h, w, 3), which point towards the camera, are
+    float32 and zero where unknown. ``intrinsics`` are those of the subsampled image.
     """
 
     depth_m: NDArray[np.float32]
@@ -45,16 +45,16 @@ class DepthView:
     intrinsics: Intrinsics
 
     def rays(self) -> NDArray[np.float32]:
-        """Return what a pixel's depth is multiplied by to make its point, (h, w, 3)."""
+        """Return the rays (h, w, 3) with z = 1: a point is its depth times its ray."""
         return _rays(self.intrinsics)
 
     def known_normals(self) -> NDArray[np.float32]:
-        """Return the normals (N, 3) where there are any."""
+        """Return all known normals (N, 3)."""
         return np.asarray(self.normals_camera[self.normals_camera.any(axis=-1)])
 
 
 def make_view(frame: DepthFrame) -> DepthView:
-    """Return the small view of a frame, read-only; it is computed once and kept with the frame."""
+    """Return the read-only view of a frame. It is computed once and cached in the frame."""
     return frame.derive(_make_view)
 
 
@@ -70,7 +70,7 @@ def _make_view(frame: DepthFrame) -> DepthView:
 
 
 def view_points(frame: DepthFrame) -> NDArray[np.float32]:
-    """Return the points (N, 3) of a grid twice as fine as the view; computed once for a frame."""
+    """Return the points (N, 3) of a grid twice as fine as the view, cached in the frame."""
     return frame.derive(_view_points)
 
 
@@ -84,9 +84,9 @@ def _view_points(frame: DepthFrame) -> NDArray[np.float32]:
 
 
 def quantize_depth(frame: DepthFrame) -> DepthFrame:
-    """Return the frame with depths as the map can keep them: those in metres are rounded.
+    """Return the frame with depths in metres rounded to the steps in which the map keeps them.
 
-    So a map that is loaded again sees to the bit what was seen when it was made.
+    A map that is loaded again therefore has exactly the depths that were processed.
     """
     if frame.depth.dtype == np.uint16:
         return frame
@@ -96,7 +96,7 @@ def quantize_depth(frame: DepthFrame) -> DepthFrame:
 
 
 def subsample(frame: DepthFrame) -> SubsampledDepth:
-    """Return those pixels of a frame, as ``quantize_depth`` makes it, that views are made of."""
+    """Return the pixels of a quantised frame (see ``quantize_depth``) that views use."""
     stride = view_stride(frame.intrinsics)
     metres = frame.depth_m(stride)
     per_m = 1000 if frame.depth.dtype == np.uint16 else STEPS_PER_M
@@ -106,7 +106,7 @@ def subsample(frame: DepthFrame) -> SubsampledDepth:
 
 
 def restore_frame(subsample: SubsampledDepth, stamp_s: float = 0.0) -> DepthFrame:
-    """Return a frame that has the pixels kept and no others: its views are the same."""
+    """Return a frame with the saved pixels alone. Its views equal those of the original frame."""
     camera = subsample.intrinsics
     stride = view_stride(camera)
     if subsample.per_m == 1000:
@@ -121,12 +121,13 @@ def restore_frame(subsample: SubsampledDepth, stamp_s: float = 0.0) -> DepthFram
 def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the normals (h, w, 3) of a grid of points, zero at edges and where points miss.
 
-    Each is square to the lines between the pixel's neighbours, left to right and top to bottom.
+    Each is the cross product of the differences between the neighbours of the pixel, below minus
+    above and right minus left.
     """
     x, y, z = np.ascontiguousarray(np.moveaxis(points, -1, 0))
     across = [c[1:-1, 2:] - c[1:-1, :-2] for c in (x, y, z)]
     along = [c[2:, 1:-1] - c[:-2, 1:-1] for c in (x, y, z)]
-    square = np.stack(
+    cross = np.stack(
         [
             along[1] * across[2] - along[2] * across[1],
             along[2] * across[0] - along[0] * across[2],
@@ -134,7 +135,7 @@ def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
         ],
         axis=-1,
     )
-    length = np.sqrt((square * square).sum(axis=-1))
+    length = np.sqrt((cross * cross).sum(axis=-1))
     known = z > 0
     step = MAX_SLOPE * (1.0 + z[1:-1, 1:-1])
     smooth = (
@@ -145,12 +146,12 @@ def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
         & (length > 0)
     )
     normals = np.zeros_like(points)
-    np.divide(square, length[..., None], out=normals[1:-1, 1:-1], where=smooth[..., None])
+    np.divide(cross, length[..., None], out=normals[1:-1, 1:-1], where=smooth[..., None])
     return normals
 
 
 def view_stride(camera: Intrinsics) -> int:
-    """Return the stride that makes an image about ``WIDTH_PX`` wide."""
+    """Return the stride that subsamples an image to a width of about ``WIDTH_PX``."""
     return max(1, round(camera.width / WIDTH_PX))
 
 
@@ -168,7 +169,7 @@ def _shrunk(camera: Intrinsics, stride: int) -> Intrinsics:
 
 @lru_cache(maxsize=4)
 def _rays(camera: Intrinsics) -> NDArray[np.float32]:
-    """Return what a pixel's depth is multiplied by to make its point, (h, w, 3)."""
+    """Return the rays (h, w, 3) of all pixels with z = 1."""
     x = (np.arange(camera.width) - camera.cx) / camera.fx
     y = (np.arange(camera.height) - camera.cy) / camera.fy
     rays = np.dstack([*np.meshgrid(x, y), np.ones((len(y), len(x)))]).astype(np.float32)

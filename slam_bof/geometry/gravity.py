@@ -1,9 +1,10 @@
-"""Which way is down, told by the surfaces in view: floors and walls agree on it.
+"""Estimation of the direction of gravity from the normals of floors and walls.
 
-The direction to which most surfaces are either parallel or square, found by turns of choosing
-those surfaces and of fitting the direction (Gupta, Arbelaez and Malik, CVPR 2013, section 3.2).
-A single view may show one wall; normals of the last few views, joined by odometry, show more.
-Should odometry lose track, what a view shows by itself is taken instead.
+Gravity is the direction to which most surfaces are either parallel or perpendicular. The
+algorithm alternates between choosing these surfaces and fitting the direction (Gupta, Arbelaez
+and Malik, CVPR 2013, section 3.2). A single view may show one wall only, so the normals of the
+last views are combined, using their odometry poses. If odometry has lost track, the newest view
+is used alone.
 """
 
 from __future__ import annotations
@@ -20,31 +21,33 @@ from slam_bof.types import Array, DepthFrame, Pose
 __all__ = ["GravityTracker", "down_of_map", "level_frame"]
 
 N_VIEWS = 20
-"""Views whose normals are fitted together."""
+"""Number of recent views whose normals are fitted together."""
 N_NORMALS = 200
-"""Normals that a view gives."""
+"""Largest number of normals taken from a view."""
 FIRST_GATES_RAD = tuple(np.radians((45.0, 20.0, 20.0, 20.0)))
-"""How far a normal may be from level or plumb to count, in each turn, while little is known."""
+"""Largest angle of a normal to the horizontal or the vertical in each iteration, at the start."""
 GATES_RAD = tuple(np.radians((20.0, 20.0)))
+"""The same after the first ``N_FIRST`` views."""
 N_FIRST = 5
-"""Views for which little is known."""
-PLUMB_RAD = np.radians(10.0)
+"""Number of views at the start for which the wide gates are used."""
+ALIGNED_RAD = np.radians(10.0)
+"""Largest angle to the horizontal or the vertical at which a normal supports a direction."""
 LOST_MARGIN = 0.25
-"""Odometry has lost the direction where, of a view, so many more normals are level or plumb by
-what an upright camera makes of that view alone."""
+"""Odometry counts as lost if an estimate from the newest view alone, starting with an upright
+camera, is supported by a share of its normals that is larger by more than this."""
 
 
 class GravityTracker:
-    """Keeps the direction of gravity in the odometry's frame up to date.
+    """Tracks the direction of gravity in the odometry frame.
 
     Parameters
     ----------
     gravity_odom
-        (3,) direction down in the odometry's frame, known to within some 40 degrees. Where the
-        first camera is held about upright and is the odometry's frame, that is (0, 1, 0).
+        (3,) initial direction of gravity in the odometry frame, correct to about 40 degrees. It
+        is (0, 1, 0) if the first camera is about upright and defines the odometry frame.
     never_lost
-        Whether poses are known to be right, as those of a finished map are. No view is then taken
-        by itself, which for one that looks down steeply may be a mistake.
+        Whether all poses are correct, such as those of a finished map. Gravity is then never
+        estimated from a single view, which can fail for a camera that looks down steeply.
     """
 
     def __init__(
@@ -56,51 +59,49 @@ class GravityTracker:
         self._normals_odom: deque[Array] = deque(maxlen=N_VIEWS)
 
     def update(self, normals_camera: NDArray[np.floating], T_odom_camera: Pose) -> Array:
-        """Take a view's surface normals (N, 3), any N; return down (3,) in its camera frame."""
+        """Add the normals (N, 3) of a view, N >= 0; return gravity (3,) in its camera frame."""
         R = T_odom_camera[:3, :3]
         if len(normals_camera):
-            some = np.linspace(0, len(normals_camera) - 1, min(N_NORMALS, len(normals_camera)))
-            seen_odom = normals_camera[some.astype(np.intp)] @ R.T
-            self._normals_odom.append(seen_odom)
+            chosen = np.linspace(0, len(normals_camera) - 1, min(N_NORMALS, len(normals_camera)))
+            normals_odom = normals_camera[chosen.astype(np.intp)] @ R.T
+            self._normals_odom.append(normals_odom)
             gates = FIRST_GATES_RAD if len(self._normals_odom) <= N_FIRST else GATES_RAD
-            joined = np.concatenate(self._normals_odom)
-            self._gravity_odom = _fit(joined, self._gravity_odom, gates)
-            afresh = _fit(seen_odom, R[:, 1], FIRST_GATES_RAD)
-            if (
-                _share(seen_odom, afresh)
-                > _share(seen_odom, self._gravity_odom) + self._lost_margin
-            ):
+            recent = np.concatenate(self._normals_odom)
+            self._gravity_odom = _fit(recent, self._gravity_odom, gates)
+            single_view = _fit(normals_odom, R[:, 1], FIRST_GATES_RAD)
+            support = _support(normals_odom, self._gravity_odom)
+            if _support(normals_odom, single_view) > support + self._lost_margin:
                 self._normals_odom.clear()
-                self._normals_odom.append(seen_odom)
-                self._gravity_odom = afresh
+                self._normals_odom.append(normals_odom)
+                self._gravity_odom = single_view
         return np.asarray(R.T @ self._gravity_odom)
 
 
 def down_of_map(
     frames: Iterable[DepthFrame], T_map_camera: Array, guess: ArrayLike = (0.0, 1.0, 0.0)
 ) -> Array:
-    """Return down (3,) in a map's frame, as its keyframes' surfaces tell together.
+    """Return the direction of gravity (3,) in the map frame, from the normals of all keyframes.
 
     Parameters
     ----------
     frames, T_map_camera
-        K keyframes and their poses (K, 4, 4).
+        The K keyframes and their poses (K, 4, 4).
     guess
-        (3,) roughly down in the map's frame.
+        (3,) rough direction of gravity in the map frame.
     """
     down = np.asarray(guess, dtype=np.float64)
-    seen = [np.empty((0, 3))]
+    normals_map = [np.empty((0, 3))]
     for frame, T in zip(frames, T_map_camera, strict=True):
         normals = make_view(frame).known_normals()
-        seen.append(normals[:: -(-len(normals) // N_NORMALS) or 1] @ T[:3, :3].T)
-    return _fit(np.concatenate(seen), down / np.linalg.norm(down), FIRST_GATES_RAD)
+        normals_map.append(normals[:: -(-len(normals) // N_NORMALS) or 1] @ T[:3, :3].T)
+    return _fit(np.concatenate(normals_map), down / np.linalg.norm(down), FIRST_GATES_RAD)
 
 
 def level_frame(gravity_camera: Array) -> Array:
-    """Return ``R_level_camera`` (3, 3): y is down, z the optical axis made horizontal.
+    """Return ``R_level_camera`` (3, 3): y is down, z is the optical axis made horizontal.
 
-    A camera that looks straight down or up has no such axis; the top or bottom of its image
-    stands in for it.
+    For a camera that looks straight down or up, z is the direction of the top or bottom of its
+    image instead.
     """
     down = gravity_camera / np.linalg.norm(gravity_camera)
     ahead = np.array([0.0, 0.0, 1.0]) - down * down[2]
@@ -112,11 +113,11 @@ def level_frame(gravity_camera: Array) -> Array:
 
 
 def _fit(normals: Array, down: Array, gates_rad: Sequence[float]) -> Array:
-    """Return the direction that is most square to walls and along floors, starting with ``down``.
+    """Return the direction most perpendicular to wall normals and parallel to floor normals.
 
-    In each turn it minimises the sum of squared cosines to the walls' normals and of squared
-    sines to the floors'. The direction so far counts as one floor, and decides where surfaces
-    leave it open.
+    ``down`` is the initial direction. Each iteration minimises the sum of the squared cosines to
+    the normals of walls and of the squared sines to the normals of floors. The direction of the
+    last iteration counts as one floor normal, which settles what the surfaces leave undetermined.
     """
     for gate_rad in gates_rad:
         cosine = np.abs(normals @ down)
@@ -128,7 +129,7 @@ def _fit(normals: Array, down: Array, gates_rad: Sequence[float]) -> Array:
     return down
 
 
-def _share(normals: Array, down: Array) -> float:
-    """Return the share of normals that are level or plumb, if that is down."""
+def _support(normals: Array, down: Array) -> float:
+    """Return the share of normals that are horizontal or vertical if ``down`` is gravity."""
     cosine = np.abs(normals @ down)
-    return float(((cosine > np.cos(PLUMB_RAD)) | (cosine < np.sin(PLUMB_RAD))).mean())
+    return float(((cosine > np.cos(ALIGNED_RAD)) | (cosine < np.sin(ALIGNED_RAD))).mean())

@@ -1,7 +1,7 @@
 """Rigid transforms as (4, 4) matrices: inverse, exp, log, interpolation, alignment.
 
-Tangent vectors are (6,), rotation first, as GTSAM has them. Functions broadcast over
-leading axes: (..., 4, 4) in, (..., 4, 4) out.
+Tangent vectors are (6,) with the rotation first, the convention of GTSAM. Functions broadcast
+over leading axes: (..., 4, 4) in, (..., 4, 4) out.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ __all__ = [
 
 
 TOLERANCE = 1e-2
-"""How far ``R.T @ R`` may be from the identity in a transform that is taken from outside: one of
-few digits still is."""
+"""Largest deviation of ``R.T @ R`` from the identity in a transform given by the user. It permits
+numbers with few digits."""
 
 
 def check_rigid(T: Array) -> None:
-    """Check a transform (4, 4), or its upper (3, 4), that comes from outside.
+    """Check a transform (4, 4), or its upper (3, 4), given by the user.
 
     >>> check_rigid(np.diag([2.0, 2.0, 2.0, 1.0]))
     Traceback (most recent call last):
@@ -44,7 +44,7 @@ expected an orthonormal one of determinant 1
     Raises
     ------
     ValueError
-        If it is of another shape, not finite, or no rotation and translation.
+        If it has another shape, is not finite, or is not a rotation and a translation.
     """
     if T.shape not in ((4, 4), (3, 4)):
         raise ValueError(f"found an array {T.shape}, expected a (4, 4) transform")
@@ -61,7 +61,7 @@ expected an orthonormal one of determinant 1
 
 
 def pose(R: ArrayLike, t: ArrayLike) -> Pose:
-    """Compose a (4, 4) transform of a (3, 3) rotation and a (3,) translation."""
+    """Compose a (4, 4) transform from a (3, 3) rotation and a (3,) translation."""
     T = np.eye(4)
     T[:3, :3] = R
     T[:3, 3] = t
@@ -99,7 +99,7 @@ def log(T: Pose) -> Array:
 
 
 def transform(T_a_b: Pose, points_b: Array) -> Array:
-    """Return points (N, 3) of frame b in frame a."""
+    """Transform points (N, 3) to frame a: ``p_a = T_a_b @ p_b``."""
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
 
 
@@ -107,7 +107,7 @@ def rotation_angle(T: Pose) -> Array:
     """Return the rotation angle, in [0, pi] radians, of (..., 4, 4) or (..., 3, 3)."""
     T = np.asarray(T, dtype=np.float64)
     R = T[..., :3, :3]
-    # atan2 of sine and cosine keeps its precision at 0 and at pi, where arccos loses it.
+    # arctan2 of sine and cosine is precise at 0 and at pi, where arccos is not.
     axis = np.stack(
         [
             R[..., 2, 1] - R[..., 1, 2],
@@ -123,31 +123,31 @@ def rotation_angle(T: Pose) -> Array:
 def interpolate(T_a: Pose, T_b: Pose, fraction: float | Array) -> Pose:
     """Return the pose at ``fraction`` in [0, 1] on the geodesic between two poses (4, 4).
 
-    Of many pairs at once: (N, 4, 4) poses and (N, 1) fractions.
+    For many pairs at once, pass (N, 4, 4) poses and (N, 1) fractions.
     """
     step = exp(fraction * log(inverse(T_a) @ T_b))
     return np.asarray(T_a @ step)
 
 
 def nearest_rotation(R: ArrayLike) -> Array:
-    """Project a (3, 3) matrix that is almost a rotation to the nearest one (SVD)."""
+    """Return the rotation nearest to a (3, 3) matrix, by SVD."""
     U, _, Vt = np.linalg.svd(np.asarray(R, dtype=np.float64))
     return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
 
 
 def align(points_reference: Array, points_estimate: Array) -> Pose:
-    """Find the rigid ``T_reference_estimate`` that fits paired points best (Umeyama 1991).
+    """Return the rigid ``T_reference_estimate`` that aligns paired points best (Umeyama 1991).
 
     Parameters
     ----------
     points_reference, points_estimate
-        (N, 3) paired points, N at least 1; without enough spread (N < 3, or a line) one of
-        the best rotations is returned.
+        (N, 3) paired points, N at least 1. If they do not determine the rotation (N < 3, or points
+        on a line), one of the best rotations is returned.
 
     Returns
     -------
     Pose
-        (4, 4), no scale.
+        (4, 4) transform without scale.
     """
     if points_reference.shape != points_estimate.shape or points_reference.ndim != 2:
         raise ValueError(
@@ -162,7 +162,7 @@ def align(points_reference: Array, points_estimate: Array) -> Pose:
 
 
 def from_quaternion(quaternion_xyzw: ArrayLike, t: ArrayLike) -> Pose:
-    """Compose (..., 4, 4) transforms of quaternions (..., 4) x y z w and translations (..., 3)."""
+    """Compose (..., 4, 4) from quaternions (..., 4), x y z w, and translations (..., 3)."""
     quaternion = np.asarray(quaternion_xyzw, dtype=np.float64)
     T = np.zeros((*quaternion.shape[:-1], 4, 4))
     T[..., :3, :3] = Rotation.from_quat(quaternion).as_matrix()
@@ -172,5 +172,5 @@ def from_quaternion(quaternion_xyzw: ArrayLike, t: ArrayLike) -> Pose:
 
 
 def to_quaternion(T: Pose) -> Array:
-    """Return the unit quaternions (..., 4), x y z w with w >= 0, of transforms (..., 4, 4)."""
+    """Return unit quaternions (..., 4), x y z w with w >= 0, of transforms (..., 4, 4)."""
     return np.asarray(Rotation.from_matrix(T[..., :3, :3]).as_quat(canonical=True))

@@ -1,8 +1,8 @@
-"""Trajectories as text, in the TUM and KITTI formats at full precision; and bent by a map.
+"""Trajectory files in the TUM and KITTI formats, and correction of trajectories by a map.
 
-TUM has a line ``stamp tx ty tz qx qy qz qw`` for each pose, KITTI the 12 numbers of the upper
-(3, 4) of ``T_world_camera``, row by row, one line for each frame and no stamps. Numbers are
-written in the shortest form that reads back as the same float64.
+A TUM file has a line ``stamp tx ty tz qx qy qz qw`` for each pose. A KITTI file has a line for
+each frame with the 12 numbers of the upper (3, 4) of ``T_world_camera``, row by row, and no time
+stamps. Numbers are written in the shortest form that reads back as the same float64.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from slam_bof.types import Array, Trajectory
 __all__ = ["read_kitti", "read_tum", "spread_correction", "write_kitti", "write_tum"]
 
 TOLERANCE = 1e-2
-"""How far a quaternion may be from norm 1: files that were written with few digits are still read,
-and it is normalised."""
+"""Largest deviation of the norm of a quaternion from 1. Files may have few digits, so quaternions
+are normalised."""
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Write a trajectory in TUM format; poses that are NaN (unknown) are left out."""
+    """Write a trajectory in TUM format; unknown poses (NaN) are left out."""
     known = np.isfinite(trajectory.poses).all(axis=(1, 2))
     poses = trajectory.poses[known]
     columns = [trajectory.stamps_s[known, None], poses[:, :3, 3], _quaternions(poses)]
@@ -37,8 +37,8 @@ def read_tum(path: Path) -> Trajectory:
     Raises
     ------
     DatasetError
-        If the file cannot be read, or a line is not 8 finite numbers with a unit quaternion and
-        a stamp above the one before it.
+        If the file cannot be read, a line does not consist of 8 finite numbers with a unit
+        quaternion, or time stamps do not increase.
     """
     rows: list[Array] = []
     for where, row in _rows(path, 8, "stamp tx ty tz qx qy qz qw"):
@@ -50,7 +50,7 @@ def read_tum(path: Path) -> Trajectory:
         if rows and row[0] <= rows[-1][0]:
             raise DatasetError(
                 f"{where}: found stamp {float(row[0])} s after {float(rows[-1][0])} s, "
-                "expected growing stamps"
+                "expected increasing stamps"
             )
         rows.append(row)
     table = np.array(rows).reshape(-1, 8)
@@ -62,7 +62,7 @@ def read_tum(path: Path) -> Trajectory:
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
     """Write a trajectory in KITTI format; an unknown pose is a line of 12 ``nan``.
 
-    It cannot be left out, since the line's number is the frame's.
+    Unknown poses cannot be left out, because the number of a line is that of its frame.
     """
     _write(path, trajectory.poses[:, :3].reshape(-1, 12))
 
@@ -73,15 +73,15 @@ def read_kitti(path: Path, stamps_s: Array | None = None) -> Trajectory:
     Parameters
     ----------
     path
-        The file.
+        The file to read.
     stamps_s
-        (N,) times of the poses in seconds; without them, a pose's number counts as its time.
+        (N,) times of the poses in seconds. By default they are the numbers of the lines from 0.
 
     Raises
     ------
     DatasetError
-        If the file cannot be read, a line is not 12 numbers with a rotation in them (or 12
-        ``nan``, for an unknown pose), or there are not as many poses as stamps.
+        If the file cannot be read, a line is neither a rigid transform nor 12 ``nan``, or the
+        numbers of poses and time stamps differ.
     """
     rows: list[Array] = []
     for where, row in _rows(path, 12, "the first 3 rows of a pose"):
@@ -105,22 +105,23 @@ def spread_correction(
     T_map_keyframes: Array,
     segments: Array | None = None,
 ) -> Array:
-    """Spread the keyframes' corrections smoothly over all frames.
+    """Apply the corrections of keyframes to all frames, interpolating in between.
 
-    Each frame is carried along from the keyframe before it and from the one after it by
-    odometry, and interpolated between the two by time; there is no lever arm, so a frame moves
-    no more than its keyframes do. Where odometry was lost in between, a frame goes with the
-    keyframe on its side; while it was lost, with both.
+    The pose of each frame is predicted by odometry from the keyframe before it and from the one
+    after it, and the two predictions are interpolated by time. Interpolating poses, not
+    corrections, avoids a lever arm: a frame moves no farther than its keyframes. If odometry was
+    lost between the two keyframes, a frame follows the keyframe of its own segment; a frame that
+    was taken while odometry was lost is interpolated between both.
 
     Parameters
     ----------
     T_odom_camera, stamps_s
         (N, 4, 4) odometry poses and (N,) times of all frames.
     keyframe_indices, T_map_keyframes
-        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0.
+        (K,) increasing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0.
     segments
-        (N,) the uninterrupted track that each frame is of, -1 where odometry was lost; without,
-        all are of one.
+        (N,) the segment (uninterrupted track) of each frame, -1 while odometry was lost. By
+        default all frames belong to one segment.
 
     Returns
     -------
@@ -135,17 +136,17 @@ def spread_correction(
     span_s = np.where(after > before, end_s - start_s, 1.0)
     fraction = np.where(after > before, np.maximum(stamps_s - start_s, 0.0) / span_s, 0.0)
     if segments is not None:
-        of_keyframes = segments[keyframe_indices]
-        alone = of_keyframes[before] != of_keyframes[after]
-        fraction[alone & (segments == of_keyframes[before])] = 0.0
-        fraction[alone & (segments == of_keyframes[after])] = 1.0
+        keyframe_segments = segments[keyframe_indices]
+        was_lost = keyframe_segments[before] != keyframe_segments[after]
+        fraction[was_lost & (segments == keyframe_segments[before])] = 0.0
+        fraction[was_lost & (segments == keyframe_segments[after])] = 1.0
     return se3.interpolate(
         T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
     )
 
 
 def _quaternions(poses: Array) -> Array:
-    """Return (N, 4) quaternions; SciPy takes no empty stack of matrices."""
+    """Return (N, 4) quaternions. SciPy does not accept an empty stack of matrices."""
     return se3.to_quaternion(poses) if len(poses) else np.empty((0, 4))
 
 
@@ -163,7 +164,7 @@ def _write(path: Path, table: Array) -> None:
 
 
 def _rows(path: Path, n_numbers: int, meaning: str) -> Iterator[tuple[str, Array]]:
-    """Yield the numbers of each line, and the place to name in an error."""
+    """Yield the location of each line, for error messages, and its numbers."""
     for number, line in enumerate(_lines(path), start=1):
         fields = line.split()
         if not fields or fields[0].startswith("#"):

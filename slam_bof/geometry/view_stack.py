@@ -1,6 +1,6 @@
-"""Many small views of one camera, and where points fall in their images.
+"""Storage of many depth views of one camera, and projection of points into them.
 
-Arrays are laid out coordinate by coordinate, and as float32: what is computed then runs along
+Coordinates are stored in separate contiguous float32 arrays, so that computations run along
 contiguous memory.
 """
 
@@ -21,24 +21,24 @@ Indices = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
 
 NEAR_M = np.float32(0.05)
-"""Nearer than this, points fall nowhere."""
+"""Points nearer than this are not projected."""
 NORMAL_STEPS = 127
-"""A normal is kept in bytes, each coordinate in so many steps."""
+"""Number of steps per unit in which normals are stored as bytes."""
 
 
 class ProjectedPoints(NamedTuple):
-    """Where points fall in an image, each (n, m)."""
+    """Projections of points into images; each array is (n, m)."""
 
     column: Floats
     row: Floats
     depth_m: Floats
-    """Theirs, not the image's."""
+    """Depth of the points, not of the image."""
     inside: NDArray[np.bool_]
-    """Whether they fall into the image at all."""
+    """Whether the points lie within the image."""
 
 
 class ViewStack:
-    """Holds the depths and normals of views, and samples of their pixels."""
+    """Stores the depths and normals of views, and a random sample of the pixels of each."""
 
     def __init__(self, n_points: int, *, seed: int = 0) -> None:
         self.n_points = n_points
@@ -52,12 +52,12 @@ class ViewStack:
         self._order: Indices
 
     def add(self, view: DepthView) -> None:
-        """Hold another view; ids count from 0.
+        """Store another view; ids count from 0.
 
         Raises
         ------
         ValueError
-            If it is of another camera than the views before.
+            If its camera differs from that of the views before.
         """
         if self._camera is None:
             n_pixels = view.depth_m.size
@@ -77,18 +77,18 @@ class ViewStack:
         self._surface.append(self._sample(np.asarray(normals.any(axis=1))))
 
     def __len__(self) -> int:
-        """Return the number of views held."""
+        """Return the number of stored views."""
         return 0 if self._camera is None else len(self._depths_m)
 
     def truncate(self, n: int) -> None:
-        """Hold only the first ``n`` views."""
+        """Keep only the first ``n`` views."""
         if self._camera is not None:
             for stack in (self._depths_m, self._normals, self._sampled, self._surface):
                 stack.truncate(n)
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all views held."""
+        """Size of all stored views in bytes."""
         if self._camera is None:
             return 0
         stacks = (self._depths_m, self._normals, self._sampled, self._surface)
@@ -100,25 +100,25 @@ class ViewStack:
         return np.asarray((self._rays * depth_m[:, None])[depth_m > 0])
 
     def sampled(self, views: int | Indices, n_points: int | None = None) -> Floats:
-        """Return points (m, 3) of a view, or (n, m, 3) of views (n,)."""
+        """Return sampled points (m, 3) of a view, or (n, m, 3) of views (n,)."""
         pixels = self._sampled.rows[views, :n_points]
         return self._points(np.asarray(views)[..., None], pixels)
 
     def surface(self, view_id: int, n_points: int | None = None) -> tuple[Floats, Floats]:
-        """Return points (m, 3) of a view where it has normals, and these (m, 3)."""
+        """Return sampled points (m, 3) of a view with known normals, and the normals (m, 3)."""
         pixels = self._surface.rows[view_id, :n_points]
         normals = self._normals.rows[view_id].take(pixels, axis=0) * np.float32(1 / NORMAL_STEPS)
         return self._points(view_id, pixels), normals
 
     def surface_points(self, views: int | Indices) -> Floats:
-        """Return points (m, 3) of a view, or (n, m, 3) of views (n,), where it has normals."""
+        """Return sampled points with known normals: (m, 3) of a view or (n, m, 3) of views (n,)."""
         return self._points(np.asarray(views)[..., None], self._surface.rows[views])
 
     def project_points(self, points: Floats, T: Floats) -> ProjectedPoints:
-        """Return where points (m, 3), or (n, m, 3), fall in images from poses (n, 4, 4)."""
+        """Project points (m, 3), or (n, m, 3), into images (n,) by ``T_image_points`` (n, 4, 4)."""
         assert self._camera is not None
         camera = self._camera
-        # Camera and pose in one make columns and rows, both times depth, and depth: (3, n, 4).
+        # Intrinsics times pose gives column * depth, row * depth and depth: (3, n, 4).
         project = T[:, :3].transpose(1, 0, 2).copy()
         project[0] = np.float32(camera.fx) * project[0] + np.float32(camera.cx) * project[2]
         project[1] = np.float32(camera.fy) * project[1] + np.float32(camera.cy) * project[2]
@@ -130,9 +130,9 @@ class ViewStack:
             column, row, depth = (project.transpose(1, 0, 2) @ extended).transpose(1, 0, 2)
         inverse = np.maximum(depth, NEAR_M)
         np.divide(np.float32(1.0), inverse, out=inverse)
-        for along in (column, row):
-            along *= inverse
-            np.rint(along, out=along)
+        for pixel in (column, row):
+            pixel *= inverse
+            np.rint(pixel, out=pixel)
         inside = depth > NEAR_M
         inside &= column >= 0
         inside &= column < camera.width
@@ -141,7 +141,7 @@ class ViewStack:
         return ProjectedPoints(column, row, depth, inside)
 
     def depth_at(self, views: int | Indices, projected: ProjectedPoints) -> tuple[Floats, Indices]:
-        """Return the depths (n, m) that views (n,) have there, 0 outside, and their addresses.
+        """Return the depths (n, m) of views (n,) at projected points, 0 outside, and flat indices.
 
         ``take`` from flat arrays is three times as fast as indexing by views and pixels.
         """
@@ -156,16 +156,16 @@ class ViewStack:
         return depth_m, addresses
 
     def surface_at(self, views: Indices, projected: ProjectedPoints) -> tuple[Floats, Floats]:
-        """Return points and normals (n, 3, m) that views (n,) have there."""
+        """Return the points and normals (n, 3, m) of views (n,) at projected points."""
         assert self._camera is not None
         camera = self._camera
         depth, addresses = self.depth_at(views, projected)
         points = np.empty((len(views), 3, depth.shape[1]), np.float32)
-        for k, along, focal, centre in (
+        for k, pixel, focal, centre in (
             (0, projected.column, camera.fx, camera.cx),
             (1, projected.row, camera.fy, camera.cy),
         ):
-            np.subtract(along, np.float32(centre), out=points[:, k])
+            np.subtract(pixel, np.float32(centre), out=points[:, k])
             points[:, k] *= np.float32(1.0 / focal)
             points[:, k] *= depth
         points[:, 2] = depth
@@ -179,7 +179,7 @@ class ViewStack:
         depth_m = self._depths_m.rows.reshape(-1).take(addresses)
         return np.asarray(self._rays.take(pixels, axis=0) * depth_m[..., None])
 
-    def _sample(self, wanted: NDArray[np.bool_]) -> Indices:
-        """Return ``n_points`` such pixels, some twice where they are few, or else just any."""
-        chosen = self._order[wanted[self._order]]
+    def _sample(self, is_valid: NDArray[np.bool_]) -> Indices:
+        """Draw ``n_points`` valid pixels, with repetition if they are too few; any if none is."""
+        chosen = self._order[is_valid[self._order]]
         return np.resize(chosen if len(chosen) else self._order, self.n_points)

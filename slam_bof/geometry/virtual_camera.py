@@ -1,10 +1,10 @@
-"""Point clouds without a depth image, seen through a virtual camera.
+"""Projection of point clouds into the depth image of a virtual camera.
 
-Everything after the odometry looks at depth images. A cloud of a depth camera is projected into
-such an image again; of one all around, as a LiDAR makes it, a view is cut that always looks in the
-same direction *of the odometry's frame*, level, however the sensor is turned: then a place that
-is come back to the other way round shows the same view, and what moves in it from scan to scan is
-the place alone.
+Everything after the odometry works on depth images. The cloud of a depth camera is projected into
+such an image. For a sensor that sees all around, such as a LiDAR, the virtual camera is level and
+keeps its direction *in the odometry frame* while the sensor turns. A place that is revisited in
+the opposite direction therefore gives the same view, and the view changes from scan to scan only
+because the sensor translates.
 """
 
 from __future__ import annotations
@@ -18,40 +18,43 @@ from slam_bof.geometry import se3
 from slam_bof.geometry.gravity import level_frame
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
-__all__ = ["CloudCamera", "Seen", "render"]
+__all__ = ["CloudCamera", "VirtualView", "render"]
 
 MAX_TANGENT = np.tan(np.radians(60.0))
-"""Wider views than 120 degrees are cut: a pinhole image of more is mostly its edges."""
-AHEAD = 0.9
-"""Of a depth camera's points at least so many fall into such a view; else it is all around."""
+"""Views are limited to 120 degrees: a wider pinhole image consists mostly of its edges."""
+MIN_SHARE_AHEAD = 0.9
+"""Smallest share of points within these 120 degrees for a sensor to count as a depth camera."""
 MARGIN = 1.02
+"""Factor by which the view is made wider than the points need."""
 QUANTILE = 0.995
-"""A few points beyond do not make the view wider."""
+"""Quantile of the slopes of the points that sets the width of the view, robust to outliers."""
 POINTS_PER_PIXEL = 1.5
+"""Mean number of points per pixel, which sets the resolution of the image."""
 MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 320
 MIN_POINTS = 100
-"""Fewer do not tell what the sensor sees."""
+"""Smallest number of points from which the type of the sensor is determined."""
 NEAR_M = 0.05
+"""Points nearer than this are not projected."""
 SAME_SURFACE = 0.1
-"""Depths that differ by less, as a share, are of one surface: points of a pixel, ends of a gap."""
+"""Largest relative difference in depth of points on one surface."""
 MAX_GAP_PX = 6
-"""The widest hole between points of one surface that is closed: a LiDAR's rings are apart."""
+"""Largest gap between points of one surface that is closed, such as between LiDAR rings."""
 
 
-class Seen(NamedTuple):
-    """What the virtual camera sees of a cloud, and how it stands in the sensor's frame."""
+class VirtualView(NamedTuple):
+    """The depth image of a cloud, and the pose of the virtual camera in the sensor frame."""
 
     frame: DepthFrame
     T_camera_view: Pose
 
 
 class CloudCamera:
-    """Looks at the clouds of one sensor; the first cloud tells which kind that is.
+    """Renders the clouds of one sensor, whose type is determined from the first cloud.
 
     Parameters
     ----------
     gravity_odom
-        (3,) roughly down in the odometry's frame.
+        (3,) rough direction of gravity in the odometry frame.
     """
 
     def __init__(self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)) -> None:
@@ -61,24 +64,24 @@ class CloudCamera:
 
     @property
     def is_around(self) -> bool | None:
-        """Whether the sensor looks all around; None before the first cloud has told."""
+        """Whether the sensor sees all around; None before the first cloud."""
         return None if self._intrinsics is None else self._is_around
 
     def restore(self, intrinsics: Intrinsics, is_around: bool) -> None:
-        """Go on with the camera that earlier clouds were seen through."""
+        """Restore the virtual camera of a saved map."""
         self._intrinsics, self._is_around = intrinsics, is_around
 
-    def observe(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Seen:
-        """Return the view of a cloud.
+    def observe(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> VirtualView:
+        """Return the virtual view of a cloud.
 
         Parameters
         ----------
         stamp_s
             Time in seconds.
         points_camera
-            (N, 3) in metres, x right, y down, z forward; rows that are not finite are dropped.
+            (N, 3) in metres, x right, y down, z forward. Rows that are not finite are dropped.
         T_odom_camera
-            (4, 4) the sensor's pose.
+            (4, 4) pose of the sensor in the odometry frame.
 
         Raises
         ------
@@ -90,13 +93,13 @@ class CloudCamera:
             raise ValueError(f"points_camera must be (N, 3), got {points.shape}")
         points = points[np.isfinite(points).all(axis=1)]
         if self._intrinsics is None and len(points) >= MIN_POINTS:
-            self._settle(points, T_odom_camera)
+            self._choose_camera(points, T_odom_camera)
         T_camera_view = self._T_camera_view(T_odom_camera)
         camera = self._intrinsics
-        if camera is None:  # nothing was seen yet, and nothing is now
+        if camera is None:  # no cloud so far had enough points
             camera, points = _camera(np.ones(2), 1), np.empty((0, 3))
         depth_m = render(se3.transform(se3.inverse(T_camera_view), points), camera)
-        return Seen(DepthFrame(stamp_s, depth_m, camera), T_camera_view)
+        return VirtualView(DepthFrame(stamp_s, depth_m, camera), T_camera_view)
 
     def _T_camera_view(self, T_odom_camera: Pose) -> Pose:
         if not self._is_around:
@@ -104,13 +107,13 @@ class CloudCamera:
         R = np.asarray(T_odom_camera)[:3, :3].T @ self._R_odom_view
         return se3.pose(R, np.zeros(3))
 
-    def _settle(self, points: Array, T_odom_camera: Pose) -> None:
-        """Choose the camera by the extent and the density of a cloud."""
-        self._is_around = not _falls_ahead(points).mean() >= AHEAD
+    def _choose_camera(self, points: Array, T_odom_camera: Pose) -> None:
+        """Choose the virtual camera from the extent and the density of a cloud."""
+        self._is_around = not _falls_ahead(points).mean() >= MIN_SHARE_AHEAD
         R_view_camera = self._T_camera_view(T_odom_camera)[:3, :3].T
         ahead = points @ R_view_camera.T
         ahead = ahead[_falls_ahead(ahead)]
-        if len(ahead) < MIN_POINTS:  # a narrow sensor that looks elsewhere
+        if len(ahead) < MIN_POINTS:  # a narrow sensor that points in another direction
             return
         slopes = np.abs(ahead[:, :2]) / ahead[:, 2:]
         tangents = MARGIN * np.quantile(slopes, QUANTILE, axis=0)
@@ -118,11 +121,11 @@ class CloudCamera:
 
 
 def render(points_view: Array, camera: Intrinsics) -> NDArray[np.float32]:
-    """Return the depth image (H, W) float32 in metres that a camera has of points, 0 where none.
+    """Return the depth image (H, W) of points: float32 in metres, 0 where there are none.
 
-    Of a pixel's points the nearest surface is taken, in the mean. Holes of up to ``MAX_GAP_PX``
-    between points of one surface are closed: along a line across a plane, inverse depth is
-    linear.
+    A pixel gets the mean inverse depth of its points on the nearest surface. Gaps of up to
+    ``MAX_GAP_PX`` between points of one surface are closed by interpolating inverse depth, which
+    is linear in the image of a plane.
     """
     inverse = np.zeros(camera.height * camera.width)
     x, y, z = points_view[points_view[:, 2] > NEAR_M].T
@@ -136,14 +139,14 @@ def render(points_view: Array, camera: Intrinsics) -> NDArray[np.float32]:
     total = np.bincount(pixel[front], weights=near[front], minlength=len(inverse))
     image: Array = (total / np.maximum(count, 1)).reshape(camera.height, camera.width)
     for axis in (1, 0):
-        image = _bridge(image, axis)
+        image = _close_gaps(image, axis)
     depth_m = np.zeros_like(image)
     np.divide(1.0, image, out=depth_m, where=image > 0)
     return depth_m.astype(np.float32)
 
 
-def _bridge(inverse: Array, axis: int) -> Array:
-    """Close the gaps along an axis between pixels of one surface, linearly."""
+def _close_gaps(inverse: Array, axis: int) -> Array:
+    """Interpolate linearly along an axis in the gaps between pixels of one surface."""
     lines = np.moveaxis(inverse, axis, -1)
     n = lines.shape[-1]
     at = np.where(lines > 0, np.arange(n), -1)
@@ -153,11 +156,11 @@ def _bridge(inverse: Array, axis: int) -> Array:
     first = np.take_along_axis(lines, np.maximum(before, 0), axis=-1)
     last = np.take_along_axis(lines, np.minimum(after, n - 1), axis=-1)
     gap = after - before
-    closes = (lines == 0) & (before >= 0) & (after < n) & (gap <= MAX_GAP_PX + 1)
-    closes &= np.abs(first - last) < SAME_SURFACE * np.maximum(first, last)
+    is_closed = (lines == 0) & (before >= 0) & (after < n) & (gap <= MAX_GAP_PX + 1)
+    is_closed &= np.abs(first - last) < SAME_SURFACE * np.maximum(first, last)
     fraction = (np.arange(n) - before) / np.maximum(gap, 1)
-    bridged = np.where(closes, first + fraction * (last - first), lines)
-    return np.moveaxis(bridged, -1, axis)
+    filled = np.where(is_closed, first + fraction * (last - first), lines)
+    return np.moveaxis(filled, -1, axis)
 
 
 def _falls_ahead(points: Array) -> NDArray[np.bool_]:
@@ -167,7 +170,7 @@ def _falls_ahead(points: Array) -> NDArray[np.bool_]:
 
 
 def _camera(tangents: Array, n_points: int) -> Intrinsics:
-    """Return a camera with square pixels that sees so far to each side (2,), x and y."""
+    """Return a camera with square pixels and these tangents (2,) of its half angles, x and y."""
     across, along = (max(float(t), 0.05) for t in tangents)
     width = np.sqrt(n_points / POINTS_PER_PIXEL * across / along)
     width_px = 2 * round(float(np.clip(width, MIN_WIDTH_PX, MAX_WIDTH_PX)) / 2)

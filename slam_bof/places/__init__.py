@@ -1,4 +1,4 @@
-"""Place recognition: where else a view was taken, and localisation among keyframes."""
+"""Place recognition among earlier views, and localisation of single frames in a map."""
 
 import lazy_loader
 

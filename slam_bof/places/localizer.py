@@ -1,9 +1,9 @@
-"""Where in a finished map a single depth image was taken, or that it is not known.
+"""Localisation of a single depth image in a finished map.
 
-Keyframes that look alike propose poses (``recogniser``), and a verifier makes them exact. A pose is
-believed where the keyframes around it, taken together, show nearly all that the image does and
-nothing that contradicts: a wrong pose leaves part of the image unexplained, or in the way. Where
-two places are consistent, no pose is returned: rooms may be equal to the millimetre.
+Similar keyframes propose poses (``recogniser``), which a verifier refines. A pose is accepted if
+the keyframes around it together cover nearly all of the image and do not contradict it: at a
+wrong pose, part of the image has no counterpart in the map or violates its free space. If two
+places are consistent with the image, no pose is returned, since rooms can be identical.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ __all__ = ["Localization", "LocalizationParams", "Localizer"]
 
 
 class LocalizationParams(Params):
-    """What a pose must have for it to be told."""
+    """Parameters of localisation: the search for poses and the conditions for accepting one."""
 
     n_verified: int = Field(
         10,
@@ -70,18 +70,19 @@ class LocalizationParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Localization:
-    """Where a frame was taken, or why that is not known.
+    """The pose of a frame in the map, or the reason why it is unknown.
 
-    ``T_map_camera`` is None where it is not, and ``reason`` says why in words, empty if it is.
-    ``keyframe_id`` is the keyframe that matches best, with ``overlap`` and ``rmse_m`` as
-    ``Verification`` has them; ``witness_ids`` are the others that lead to the same pose.
+    ``T_map_camera`` is None if the pose is unknown; then ``reason`` says why, otherwise it is
+    empty. ``keyframe_id`` is the keyframe that matches best, and ``overlap`` and ``rmse_m`` are
+    those of its ``Verification``. ``supporting_ids`` are the other keyframes that lead to the same
+    pose.
     """
 
     T_map_camera: Pose | None = None
     keyframe_id: int | None = None
     overlap: float = float("nan")
     rmse_m: float = float("nan")
-    witness_ids: tuple[int, ...] = ()
+    supporting_ids: tuple[int, ...] = ()
     reason: str = ""
 
     @property
@@ -91,26 +92,26 @@ class Localization:
 
 
 class _Query(NamedTuple):
-    """A frame that asks, also as the verifier knows it."""
+    """A frame to localise: its view in the recogniser, and its data prepared by the verifier."""
 
     view: KnownView
     prepared: Any
 
 
 class Localizer:
-    """Holds the keyframes of a finished map, and tells of single frames where they were taken.
+    """Stores the keyframes of a finished map and localises single frames in it.
 
     Parameters
     ----------
     verifier
-        Aligns frames; best one that can forget (``ports.ForgettingVerifier``), else it keeps what
-        it prepares of each frame that asks.
+        Registers frames. It should be a ``ports.ForgettingVerifier``; any other keeps the prepared
+        data of every frame that is localised.
     params, recogniser_params
-        What is asked of a pose, and how places are found.
+        Parameters of localisation and of place recognition.
     gravity_odom
-        (3,) roughly down in the frame of ``T_odom_camera``.
+        (3,) rough direction of gravity in the frame of ``T_odom_camera``.
     seed
-        Of what aligning draws.
+        Seed of the random samples that alignment draws.
 
     Examples
     --------
@@ -135,41 +136,47 @@ class Localizer:
             recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
         )
         self._T_map_camera = GrowingArray((4, 4), np.float64)
-        self._stand = HypothesisRegistration(verifier, self._T_map_camera)
-        self._map = MapConsistency(self._recogniser, self._T_map_camera, self.params.consistency)
+        self._registration = HypothesisRegistration(verifier, self._T_map_camera)
+        self._consistency = MapConsistency(
+            self._recogniser, self._T_map_camera, self.params.consistency
+        )
         self._aliases = PerceptualAliases(
-            self._recogniser, self._stand, self._map, self._T_map_camera, self.params.aliases
+            self._recogniser,
+            self._registration,
+            self._consistency,
+            self._T_map_camera,
+            self.params.aliases,
         )
 
     def __len__(self) -> int:
-        """Return the number of keyframes held."""
+        """Return the number of keyframes."""
         return len(self._T_map_camera)
 
     def add(self, frame: DepthFrame, T_map_camera: Pose, T_odom_camera: Pose | None = None) -> int:
-        """Hold the next keyframe, and return its id: 0, 1, 2 ...
+        """Add the next keyframe, and return its id: 0, 1, 2 ...
 
-        Of its depth, every fourth pixel (of 640 in a row) is looked at; others may be missing.
+        Of an image 640 pixels wide only every fourth pixel is used; the others may be missing.
 
         Parameters
         ----------
         frame
-            Of the same camera as those before.
+            Frame of the same camera as the keyframes before.
         T_map_camera
-            (4, 4) its pose in the map.
+            (4, 4) pose of the keyframe in the map.
         T_odom_camera
-            (4, 4) its pose by odometry, that tells which way was down from one keyframe to the
-            next; without, the map's is taken.
+            (4, 4) pose of the keyframe by odometry, which is used to track the direction of
+            gravity. The default is ``T_map_camera``.
 
         Raises
         ------
         ValueError
-            If the frame is of another camera, or a pose is no rotation and translation.
+            If the frame is of another camera, or a pose is not a rigid transform.
         """
         T_odom_camera = T_map_camera if T_odom_camera is None else T_odom_camera
         for T in (T_map_camera, T_odom_camera):
             se3.check_rigid(T)
         keyframe_id = self._recogniser.add(frame, T_odom_camera)
-        self._stand.add(frame)
+        self._registration.add(frame)
         self._T_map_camera.append(T_map_camera)
         return keyframe_id
 
@@ -177,15 +184,16 @@ class Localizer:
     def localize(
         self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
     ) -> Localization:
-        """Return where a frame was taken, by itself; afterwards it is forgotten.
+        """Localise a single frame. The frame is not stored.
 
         Parameters
         ----------
         frame
-            Of the same camera as the keyframes.
+            Frame of the same camera as the keyframes.
         gravity_camera
-            (3,) down in its camera frame, if an inertial sensor tells. Without, the camera must
-            be tilted as it was in the keyframes, to within some 40 degrees.
+            (3,) direction of gravity in the camera frame, such as that of an inertial sensor. If
+            it is not given, the tilt of the camera must be within about 40 degrees of that of the
+            keyframes.
 
         Raises
         ------
@@ -196,75 +204,83 @@ class Localizer:
             return Localization(reason="the map has no keyframes")
         n_points = len(view_points(frame))
         if n_points < self.params.min_points:
-            return Localization(reason=f"the image shows too little: {n_points} points")
+            return Localization(
+                reason=f"the image shows too little: it has {n_points} points, expected at least "
+                f"{self.params.min_points}"
+            )
         with (
             self._recogniser.temporary_query(frame, gravity_camera=gravity_camera) as view_id,
-            self._stand.temporary_query(frame) as prepared,
+            self._registration.temporary_query(frame) as prepared,
         ):
-            query = _Query(self._map.known_view(view_id, frame.intrinsics), prepared)
+            query = _Query(self._consistency.known_view(view_id, frame.intrinsics), prepared)
             matches = self._recogniser.recognise_alone(view_id, len(self))
-            return self._judge(query, matches[: self.params.n_verified])
+            return self._select_pose(query, matches[: self.params.n_verified])
 
-    def _judge(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:
-        """Verify what recognition found, and tell the one pose that fits the map, if it is one."""
+    def _select_pose(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:
+        """Verify recognised matches, and return the only pose consistent with the map, if any."""
         p = self.params
         ids = [match.view_id for match in matches]
         guesses = np.array([match.T_match_query for match in matches])
-        hypotheses, refused = self._stand.register(query.prepared, ids, guesses)
+        hypotheses, rejection = self._registration.register(query.prepared, ids, guesses)
         if not hypotheses:
-            return Localization(reason=f"no keyframe shows the same: the most alike, {refused}")
+            details = f"; the most similar is {rejection}" if rejection else ""
+            return Localization(reason=f"no keyframe matches{details}")
         places = group_hypotheses(hypotheses, p.same_m, p.same_rad)
-        consistent, against = self._consistency(query, places)
+        consistent, reason = self._consistent_places(query, places)
         if not consistent:
-            # One keyframe may be too far to lead to the very place; those around it are nearer.
-            nearer = [w for place in places[:2] for w in self._look_around(query, place[0])]
-            consistent, _ = self._consistency(query, group_hypotheses(nearer, p.same_m, p.same_rad))
+            # A distant keyframe may give an inaccurate pose; those near the pose are more accurate.
+            nearer = [h for place in places[:2] for h in self._register_nearest(query, place[0])]
+            places = group_hypotheses(nearer, p.same_m, p.same_rad)
+            consistent, _ = self._consistent_places(query, places)
         if not consistent:
-            return Localization(reason=against)
+            return Localization(reason=reason)
         if len(consistent) > 1:
             a, b = (place[0].keyframe_id for place in consistent[:2])
             return Localization(
-                reason=f"{len(consistent)} places are consistent: by keyframes {a} and {b}"
+                reason=f"{len(consistent)} places match the image, such as keyframes {a} and {b}"
             )
         (place,) = consistent
         best = max(place, key=lambda hypothesis: hypothesis.verified.overlap)
-        elsewhere = self._aliases.reason_against(query.view, best.T_map_view)
-        if elsewhere:
-            return Localization(reason=elsewhere)
+        ambiguity = self._aliases.reason_against(query.view, best.T_map_view)
+        if ambiguity:
+            return Localization(reason=ambiguity)
         return Localization(
             self._refine(query, best),
             best.keyframe_id,
             best.verified.overlap,
             best.verified.rmse_m,
-            tuple(sorted(w.keyframe_id for w in place if w is not best)),
+            tuple(sorted(h.keyframe_id for h in place if h is not best)),
         )
 
-    def _consistency(
+    def _consistent_places(
         self, query: _Query, places: Sequence[list[PoseHypothesis]]
     ) -> tuple[list[list[PoseHypothesis]], str]:
-        """Return the places that the map has nothing against, and what it has against the first."""
+        """Return the places consistent with the map, and why the first of the others is not."""
         p = self.params
         consistent: list[list[PoseHypothesis]] = []
-        against = ""
+        first_reason = ""
         for place in places:
             T = place[0].T_map_view
-            reason_against = self._map.reason_against(query.view, T)
-            against = against or f"by keyframe {place[0].keyframe_id}, {reason_against}"
-            if reason_against or any(
+            reason = self._consistency.reason_against(query.view, T)
+            if reason and not first_reason:
+                first_reason = f"keyframe {place[0].keyframe_id} matches, but {reason}"
+            if reason or any(
                 are_near(T, other[0].T_map_view, p.apart_m, p.apart_rad) for other in consistent
             ):
                 continue
             consistent.append(place)
-        return consistent, against
+        return consistent, first_reason
 
-    def _look_around(self, query: _Query, hypothesis: PoseHypothesis) -> list[PoseHypothesis]:
-        """Return what the keyframes nearest to a pose make of it."""
-        nearest = self._map.nearest(query.view, hypothesis.T_map_view, self.params.n_refined)
+    def _register_nearest(self, query: _Query, hypothesis: PoseHypothesis) -> list[PoseHypothesis]:
+        """Register the query with the keyframes nearest to a pose hypothesis."""
+        nearest = self._consistency.nearest(
+            query.view, hypothesis.T_map_view, self.params.n_refined
+        )
         T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ hypothesis.T_map_view
-        return self._stand.register(query.prepared, nearest.tolist(), T_near_query)[0]
+        return self._registration.register(query.prepared, nearest.tolist(), T_near_query)[0]
 
     def _refine(self, query: _Query, best: PoseHypothesis) -> Pose:
-        """Return the mean of what the nearest keyframes make of a pose."""
+        """Return the mean pose of the registrations with the nearest keyframes."""
         p, T = self.params, best.T_map_view
-        around = self._look_around(query, best)
-        return mean_pose(T, [w for w in around if are_near(T, w.T_map_view, p.same_m, p.same_rad)])
+        nearest = self._register_nearest(query, best)
+        return mean_pose(T, [h for h in nearest if are_near(T, h.T_map_view, p.same_m, p.same_rad)])

@@ -1,8 +1,8 @@
-"""Whether a view, at a pose, fits a map: what its keyframes have against it.
+"""Check whether a view at a pose is consistent with the keyframes of a map.
 
-The keyframes around the pose, taken together, must show nearly all that the view does, and nothing
-that contradicts. How nearly depends on the sensor and on the map, so both are asked: what the
-keyframes come to, each judged by those around it, is no reason against it.
+The keyframes around the pose together must cover nearly all of the view and must not contradict
+it. The limits depend on the noise of the sensor and of the map. They are therefore raised by the
+deviations that the keyframes of the map show when each is compared with those around it.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ from slam_bof.types import Array, Intrinsics, Params, Pose
 __all__ = ["KnownView", "MapConsistency", "MapConsistencyParams"]
 
 N_POINTS = 200
+"""Number of points of a view that are used to find the keyframes near it."""
 
 
 class MapConsistencyParams(Params):
-    """What a view must have in common with the keyframes around its pose."""
+    """Limits on the deviation of a view from the keyframes around its pose."""
 
     max_range_m: float = Field(
         8.0,
@@ -53,48 +54,48 @@ class MapConsistencyParams(Params):
         0.05,
         ge=0,
         le=1,
-        description="Largest share of these that may lie elsewhere than the map has surfaces.",
+        description="Largest share of these that may lie away from the surfaces of the map.",
     )
     max_free_space_violation: float = Field(
         0.04,
         ge=0,
         le=1,
-        description="Largest share of these that may stand before the surfaces of the map.",
+        description="Largest share of these that may lie in front of the surfaces of the map.",
     )
     max_free_space_violation_reverse: float = Field(
         0.05,
         ge=0,
         le=1,
-        description="Largest share of points of the map that may stand before the surfaces of the "
-        "image.",
+        description="Largest share of points of the map that may lie in front of the surfaces of "
+        "the image.",
     )
     noise_factor: float = Field(
         2.0,
         ge=0,
-        description="How many times the median shares of the map itself are added to these limits.",
+        description="Factor of the median shares of the map itself that are added to these limits.",
     )
     max_share: float = Field(0.2, ge=0, le=1, description="Upper bound of these limits.")
     n_reference: int = Field(50, gt=0, description="Number of keyframes whose shares are measured.")
 
 
 class KnownView(NamedTuple):
-    """A keyframe, or a frame that asks, as the recogniser knows it."""
+    """A view stored in the recogniser: a keyframe or a temporary query."""
 
     view_id: int
     points_camera: Array
-    """(N, 3), few."""
+    """(N, 3) sample of its points."""
     camera: Intrinsics
 
 
 class MapConsistency:
-    """Tells what the keyframes of a map have against a view at a pose.
+    """Compares a view at a pose with the keyframes of a map.
 
     Parameters
     ----------
     recogniser
-        Holds the keyframes' views, and those that ask.
+        Stores the views of keyframes and of temporary queries.
     T_map_camera
-        Rows (K, 4, 4), the keyframes' poses; it may grow as the recogniser does.
+        Poses (K, 4, 4) of the keyframes. Rows may be added together with views.
     """
 
     def __init__(
@@ -106,11 +107,11 @@ class MapConsistency:
         self._limits: tuple[int, Coverage] | None = None
 
     def known_view(self, view_id: int, camera: Intrinsics) -> KnownView:
-        """Return a view that the recogniser holds."""
+        """Return a stored view of the recogniser."""
         return KnownView(view_id, self._recogniser.points_camera(view_id, N_POINTS), camera)
 
     def overlaps(self, view: KnownView, T_map_view: Pose) -> Array:
-        """Return the share of a view's points (K,) that fall into each keyframe but itself."""
+        """Return the share (K,) of a view's points in each keyframe's frustum, 0 for itself."""
         T_map_camera, far_m = self._T_map_camera.rows, self.params.max_range_m
         overlaps = view_overlap(view.points_camera, T_map_view, T_map_camera, view.camera, far_m)
         if view.view_id < len(overlaps):
@@ -118,13 +119,13 @@ class MapConsistency:
         return overlaps
 
     def nearest(self, view: KnownView, T_map_view: Pose, n: int) -> NDArray[np.intp]:
-        """Return up to n keyframes, other than the view, that look at most of what it shows."""
+        """Return up to ``n`` keyframes, without the view itself, with the largest overlaps."""
         overlaps = self.overlaps(view, T_map_view)
         near = np.argsort(-overlaps, kind="stable")[:n]
         return near[overlaps[near] >= self.params.min_near]
 
     def coverage(self, view: KnownView, T_map_view: Pose) -> Coverage | None:
-        """Return how far a view agrees with the keyframes near a pose; None where none is."""
+        """Compare a view with all keyframes near a pose; return None if there are none."""
         near = self.nearest(view, T_map_view, self.params.max_near)
         if len(near) == 0:
             return None
@@ -132,38 +133,45 @@ class MapConsistency:
         return self._recogniser.coverage(view.view_id, near, T_near_view)
 
     def limits(self, camera: Intrinsics) -> Coverage:
-        """Return the least that a pose needs to be compared and seen, and the most against it."""
+        """Return the smallest visible and inlier ratios and the largest free-space violations."""
         n = len(self._T_map_camera)
         if self._limits is None or self._limits[0] != n:
             self._limits = n, self._measure_limits(camera)
         return self._limits[1]
 
     def reason_against(self, view: KnownView, T_map_view: Pose) -> str:
-        """Return what keyframes around a pose have against it, in words, or nothing."""
+        """Return why a view at a pose is inconsistent with the map; empty if it is consistent."""
         found = self.coverage(view, T_map_view)
         if found is None:
-            return "no keyframe is near"
+            return "no keyframe is near the pose"
         limits = self.limits(view.camera)
-        for share, limit, words in (
-            (found.visible_ratio, limits.visible_ratio, "of the image the map shows {}, below {}"),
-            (found.inlier_ratio, limits.inlier_ratio, "of the image {} is as in the map, below {}"),
+        for ratio, min_ratio, words in (
+            (found.visible_ratio, limits.visible_ratio, "of the image is covered by the map"),
+            (found.inlier_ratio, limits.inlier_ratio, "of the image agrees with the map"),
+        ):
+            if ratio < min_ratio:
+                return f"only {_percent(ratio)} {words} ({_percent(min_ratio)} needed)"
+        for ratio, max_ratio, words in (
             (
-                -found.free_space_violation,
-                -limits.free_space_violation,
-                "of the image {} is before the map's, above {}",
+                found.free_space_violation,
+                limits.free_space_violation,
+                "of the image lies in front of the surfaces of the map",
             ),
             (
-                -found.free_space_violation_reverse,
-                -limits.free_space_violation_reverse,
-                "of the map {} is before the image's, above {}",
+                found.free_space_violation_reverse,
+                limits.free_space_violation_reverse,
+                "of the map lies in front of the surfaces of the image",
             ),
         ):
-            if share < limit:
-                return words.format(f"{abs(share):.3f}", f"{abs(limit):.3f}")
+            if ratio > max_ratio:
+                return f"{_percent(ratio)} {words} (at most {_percent(max_ratio)} allowed)"
         return ""
 
-    def contradict(self, view: KnownView, T_map_view: Pose) -> bool:
-        """Tell whether a view cannot be there, be that place mapped or not."""
+    def contradicts(self, view: KnownView, T_map_view: Pose) -> bool:
+        """Return whether a view at a pose violates the free space of the map.
+
+        Unlike ``reason_against``, this check does not require that the map covers the view.
+        """
         found = self.coverage(view, T_map_view)
         if found is None:
             return False
@@ -176,18 +184,18 @@ class MapConsistency:
     def _measure_limits(self, camera: Intrinsics) -> Coverage:
         p = self.params
         poses = self._T_map_camera.rows
-        shares = []
+        deviations = []
         for k in np.unique(np.linspace(0, len(poses) - 1, p.n_reference).astype(int)).tolist():
             found = self.coverage(self.known_view(k, camera), poses[k])
             if found is not None and found.visible_ratio >= p.min_visible_ratio:
-                shares.append(
+                deviations.append(
                     (
                         1.0 - found.inlier_ratio,
                         found.free_space_violation,
                         found.free_space_violation_reverse,
                     )
                 )
-        reference = np.median(shares, axis=0) if shares else np.zeros(3)
+        reference = np.median(deviations, axis=0) if deviations else np.zeros(3)
         most = (
             np.array(
                 [
@@ -207,3 +215,7 @@ class MapConsistency:
             free_space_violation,
             free_space_violation_reverse,
         )
+
+
+def _percent(ratio: float) -> str:
+    return f"{100.0 * ratio:.1f} %"

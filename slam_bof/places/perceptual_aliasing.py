@@ -1,8 +1,9 @@
-"""Places of a map that look like others of it: where one is, one might as well be elsewhere.
+"""Perceptual aliases: places of a map that cannot be told from other places of it.
 
-Rooms may be alike to the millimetre. A view that fits the one may come from the other, even from
-where no keyframe was. So each keyframe around a pose is looked for in the rest of the map; what
-carries it there must not carry the pose to where the map has nothing against it.
+Rooms can be identical. A view that matches one room may have been taken in the other, even where
+the map has no keyframe. Each keyframe near a pose is therefore searched for in the rest of the
+map. If it is found elsewhere, the same transform is applied to the pose; unless the map
+contradicts the view at the transformed pose as well, the pose is ambiguous.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ __all__ = ["PerceptualAliasParams", "PerceptualAliases"]
 
 
 class PerceptualAliasParams(Params):
-    """Which keyframes are looked for elsewhere, and where."""
+    """Parameters of the search for perceptual aliases."""
 
     n_near: int = Field(
         10,
@@ -64,47 +65,50 @@ class PerceptualAliasParams(Params):
 
 
 class PerceptualAliases:
-    """Knows which keyframes of a map show what others, elsewhere, show as well.
+    """Finds keyframes of a map that match other places of it.
 
-    What it found is kept, until the map grows.
+    Results are cached until the map grows.
     """
 
     def __init__(
         self,
         recogniser: PlaceRecogniser,
-        stand: HypothesisRegistration,
+        registration: HypothesisRegistration,
         consistency: MapConsistency,
         T_map_camera: GrowingArray,
         params: PerceptualAliasParams,
     ) -> None:
         self.params = params
         self._recogniser = recogniser
-        self._stand = stand
+        self._registration = registration
         self._consistency = consistency
         self._T_map_camera = T_map_camera
-        self._known: dict[int, list[Pose]] = {}
+        self._aliases: dict[int, list[Pose]] = {}
         self._n_keyframes = 0
 
     def reason_against(self, view: KnownView, T_map_view: Pose) -> str:
-        """Return where else in the map a view may have been taken, in words, or nothing."""
-        for keyframe_id in self._around(T_map_view).tolist():
-            for T_other_map in self.of(keyframe_id, view.camera):
+        """Return where else in the map a view may have been taken, in words; empty if nowhere."""
+        for keyframe_id in self._nearest(T_map_view).tolist():
+            for T_other_map in self.aliases(keyframe_id, view.camera):
                 T_other_view = T_other_map @ T_map_view
-                if not self._consistency.contradict(view, T_other_view):
+                if not self._consistency.contradicts(view, T_other_view):
                     x, y, z = T_other_view[:3, 3]
-                    return f"it may as well be {x:.1f} {y:.1f} {z:.1f}, as keyframe {keyframe_id}"
+                    return (
+                        f"the image may as well be from ({x:.1f}, {y:.1f}, {z:.1f}) m, "
+                        f"where keyframe {keyframe_id} matches too"
+                    )
         return ""
 
-    def of(self, keyframe_id: int, camera: Intrinsics) -> list[Pose]:
-        """Return what, (4, 4), carries a keyframe to where the map shows the same."""
+    def aliases(self, keyframe_id: int, camera: Intrinsics) -> list[Pose]:
+        """Return the transforms ``T_other_map`` (4, 4) to places that match a keyframe too."""
         if self._n_keyframes != len(self._T_map_camera):
             self._n_keyframes = len(self._T_map_camera)
-            self._known.clear()
-        if keyframe_id not in self._known:
-            self._known[keyframe_id] = self._find(keyframe_id, camera)
-        return self._known[keyframe_id]
+            self._aliases.clear()
+        if keyframe_id not in self._aliases:
+            self._aliases[keyframe_id] = self._find(keyframe_id, camera)
+        return self._aliases[keyframe_id]
 
-    def _around(self, T_map_view: Pose) -> NDArray[np.intp]:
+    def _nearest(self, T_map_view: Pose) -> NDArray[np.intp]:
         distance_m = self._distances_m(T_map_view)
         nearest = np.argsort(distance_m, kind="stable")[: self.params.n_near]
         return nearest[distance_m[nearest] < self.params.near_m]
@@ -118,14 +122,14 @@ class PerceptualAliases:
         T_map_camera = self._T_map_camera.rows[keyframe_id]
         view = self._consistency.known_view(keyframe_id, camera)
         overlaps = self._consistency.overlaps(view, T_map_camera)
-        here = self._distances_m(T_map_camera) < p.same_place_m
-        same = here & (overlaps >= p.same_place_overlap)
-        same[keyframe_id] = True
+        is_near = self._distances_m(T_map_camera) < p.same_place_m
+        is_same = is_near & (overlaps >= p.same_place_overlap)
+        is_same[keyframe_id] = True
         matches = self._recogniser.recognise_alone(
-            keyframe_id, len(same), but=np.flatnonzero(same)
+            keyframe_id, len(is_same), exclude=np.flatnonzero(is_same)
         )[: p.n_verified]
-        hypotheses, _ = self._stand.register(
-            self._stand.keyframe(keyframe_id),
+        hypotheses, _ = self._registration.register(
+            self._registration.keyframe(keyframe_id),
             [match.view_id for match in matches],
             np.array([match.T_match_query for match in matches]),
         )

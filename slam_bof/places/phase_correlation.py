@@ -1,4 +1,4 @@
-"""Short spectra: the low frequencies of a grid, and its correlation with another over shifts."""
+"""Low-frequency Fourier spectra of grids, for their correlation over shifts."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ __all__ = ["dft", "shifts"]
 
 
 def dft(n_cells: int, period: int, frequencies: NDArray[np.int_]) -> NDArray[np.complex64]:
-    """Return the matrix (K, n_cells) that makes a blurred grid's spectrum at K frequencies.
+    """Return the matrix (K, n_cells) of a Gaussian blur and a Fourier transform at K frequencies.
 
-    ``period`` is in cells, those that pad the grid included. The blur, a Gaussian of one cell,
-    forgives what falls a little to the other side of a border.
+    ``period`` is the length of the grid in cells, padding included. The blur has a standard
+    deviation of one cell and makes the spectrum robust to points near the border of a cell.
     """
     phase = -2j * np.pi / period * np.outer(frequencies, np.arange(n_cells))
     blur = np.exp(-2.0 * (np.pi * frequencies / period) ** 2)
@@ -22,7 +22,7 @@ def dft(n_cells: int, period: int, frequencies: NDArray[np.int_]) -> NDArray[np.
 def shifts(
     cells: NDArray[np.int_], period: int, frequencies: NDArray[np.int_]
 ) -> NDArray[np.complex64]:
-    """Return what spectra are multiplied by to shift their grids by so many cells, (S, K).
+    """Return the factors (S, K) that shift the grids of spectra by each number of cells (S,).
 
     A grid ``g(x)`` becomes ``g(x + s)``.
     """

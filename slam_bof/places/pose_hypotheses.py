@@ -1,4 +1,4 @@
-"""Keyframes that a view was aligned with, and the poses in the map that they lead to."""
+"""Pose hypotheses of a view in the map, from its registration with keyframes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["HypothesisRegistration", "PoseHypothesis", "are_near", "group_hypoth
 
 
 class PoseHypothesis(NamedTuple):
-    """A keyframe that a view was aligned with, and the pose that it leads to."""
+    """The pose of a view in the map according to its registration with one keyframe."""
 
     keyframe_id: int
     T_map_view: Pose
@@ -25,14 +25,14 @@ class PoseHypothesis(NamedTuple):
 
 
 class HypothesisRegistration:
-    """Holds a map's keyframes as a verifier knows them, and hears them about a view.
+    """Stores the keyframes of a map, prepared by a verifier, and registers views with them.
 
     Parameters
     ----------
     verifier
-        Aligns views.
+        Registers views.
     T_map_camera
-        Rows (K, 4, 4), the keyframes' poses.
+        Poses (K, 4, 4) of the keyframes.
     """
 
     def __init__(self, verifier: Verifier, T_map_camera: GrowingArray) -> None:
@@ -41,12 +41,12 @@ class HypothesisRegistration:
         self._prepared: list[Any] = []
 
     def add(self, frame: DepthFrame) -> None:
-        """Hold the next keyframe."""
+        """Add the next keyframe."""
         self._prepared.append(self._prepare(frame))
 
     @contextmanager
     def temporary_query(self, frame: DepthFrame) -> Iterator[Any]:
-        """Prepare a frame for ``register``; forget it when the block ends, if possible."""
+        """Prepare a frame for ``register``; drop the data after the block if the verifier can."""
         prepared = self._prepare(frame)
         try:
             yield prepared
@@ -55,46 +55,46 @@ class HypothesisRegistration:
                 self._verifier.forget(prepared)
 
     def keyframe(self, keyframe_id: int) -> Any:
-        """Return a keyframe as ``register`` takes it."""
+        """Return the prepared data of a keyframe, as input of ``register``."""
         return self._prepared[keyframe_id]
 
     def register(
         self, prepared: Any, ids: Sequence[int], T_match_view: Array
     ) -> tuple[list[PoseHypothesis], str]:
-        """Align a view with keyframes (n,) from guesses (n, 4, 4).
+        """Register a view with keyframes (n,) from initial guesses (n, 4, 4).
 
         Returns
         -------
-        witnesses : list of PoseHypothesis
-            Those that show the same.
-        refused : str
-            Why the first of the others does not; empty if there is none.
+        hypotheses : list of PoseHypothesis
+            The accepted registrations.
+        rejection : str
+            Why the first of the others was rejected; empty if none was.
         """
         matches = [self._prepared[k] for k in ids]
         verified = self._verifier.verify(prepared, matches, T_match_query=T_match_view)
-        hypotheses, refused = [], ""
+        hypotheses, rejection = [], ""
         for k, verification in zip(ids, verified, strict=True):
             if verification.accepted:
                 T_map_view = self._T_map_camera.rows[k] @ verification.T_match_query
                 hypotheses.append(PoseHypothesis(k, T_map_view, verification))
             else:
-                refused = refused or f"keyframe {k}: {verification.reason}"
-        return hypotheses, refused
+                rejection = rejection or f"keyframe {k}: {verification.reason}"
+        return hypotheses, rejection
 
     def _prepare(self, frame: DepthFrame) -> Any:
         return self._verifier.prepare(frame, view_points(frame).astype(np.float64))
 
 
 def are_near(T_map_a: Pose, T_map_b: Pose, distance_m: float, angle_rad: float) -> bool:
-    """Tell whether two poses are less than so far apart, and turned by less than so much."""
-    apart = se3.inverse(T_map_a) @ T_map_b
-    return bool(np.linalg.norm(apart[:3, 3]) < distance_m and se3.rotation_angle(apart) < angle_rad)
+    """Return whether two poses differ by less than a distance (m) and an angle (rad)."""
+    T_a_b = se3.inverse(T_map_a) @ T_map_b
+    return bool(np.linalg.norm(T_a_b[:3, 3]) < distance_m and se3.rotation_angle(T_a_b) < angle_rad)
 
 
 def group_hypotheses(
     hypotheses: Sequence[PoseHypothesis], distance_m: float, angle_rad: float
 ) -> list[list[PoseHypothesis]]:
-    """Return witnesses by place, in the order of the first of each."""
+    """Group hypotheses by place, in the order of the first hypothesis of each place."""
     places: list[list[PoseHypothesis]] = []
     for hypothesis in hypotheses:
         for place in places:
@@ -107,14 +107,14 @@ def group_hypotheses(
 
 
 def mean_pose(T_map_view: Pose, hypotheses: Sequence[PoseHypothesis]) -> Pose:
-    """Return the mean, about a pose, of those of witnesses, weighted by their information.
+    """Return the mean pose of hypotheses, weighted by information, linearised at a pose.
 
-    Without any it is the pose itself.
+    Without hypotheses it is the pose itself.
     """
     if not hypotheses:
         return T_map_view
-    tangents = se3.log(se3.inverse(T_map_view) @ np.array([w.T_map_view for w in hypotheses]))
-    information = np.array([w.verified.information for w in hypotheses])
+    tangents = se3.log(se3.inverse(T_map_view) @ np.array([h.T_map_view for h in hypotheses]))
+    information = np.array([h.verified.information for h in hypotheses])
     weighted = (information @ tangents[..., None]).sum(axis=0)[:, 0]
     mean = np.linalg.solve(information.sum(axis=0), weighted)
     return np.asarray(T_map_view @ se3.exp(mean))

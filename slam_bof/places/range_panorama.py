@@ -1,9 +1,9 @@
-"""What is where around the camera, in directions and log range, as a short spectrum.
+"""Range panorama: the Fourier spectrum of the occupancy in azimuth, elevation and log range.
 
-Points in the levelled frame mark cells of azimuth, elevation and logarithm of range. To turn the
-camera shifts the cells in azimuth; to step towards what it sees shifts them in log range. The
-correlation of two such images over all shifts, from their low frequencies alone, tells how alike
-two views are, however they are turned.
+Points in the levelled frame occupy cells of a grid over azimuth, elevation and logarithm of range.
+A rotation of the camera about the vertical shifts the grid in azimuth, and a step towards the
+surfaces shifts it in log range. The largest correlation of two grids over these shifts, computed
+from their low frequencies, measures the similarity of two views independently of their heading.
 """
 
 from __future__ import annotations
@@ -18,33 +18,35 @@ __all__ = ["Panorama"]
 CELL_RAD = np.radians(3.0)
 N_AZIMUTHS, N_ELEVATIONS, N_RANGES = 48, 40, 40
 TOP_RAD = np.radians(-45.0)
-"""Elevations count down from here."""
+"""Elevation of the top of the grid; elevations increase downwards."""
 NEAR_M, FAR_M = 0.4, 4.8
+"""Limits of the grid in range."""
 RANGE_PERIOD = 50
-"""Ranges and the empty cells after them, that far does not wrap around to near."""
+"""Number of range cells with padding, so that shifts do not wrap from far to near."""
 FREQUENCIES = (8, 6, 10)
-"""The highest kept, in azimuth, elevation and log range."""
+"""Highest frequencies that are kept, in azimuth, elevation and log range."""
 MAX_SHIFTS = (20, 2)
-"""The largest tried, in cells of azimuth and of elevation."""
+"""Largest shifts that are tried, in cells of azimuth and of elevation."""
 RANGE_SHIFTS = (-1, 0, 1)
 RANGE_SHIFT_COST = 0.04
+"""Reduction of the score per cell of shift in log range."""
 CHUNK = 128
-"""Views scored at a time, that what is computed stays in the cache."""
+"""Number of views scored at a time, so that intermediate results fit into the CPU cache."""
 
 
 class Panorama:
-    """Makes spectra of points and correlates them."""
+    """Computes spectra of points and their correlations."""
 
     def __init__(self) -> None:
         high_a, high_e, high_r = FREQUENCIES
         k_a = np.arange(-high_a, high_a + 1)
         k_e = np.arange(-high_e, high_e + 1)
-        # The volume is real, so that half its spectrum tells all. Frequency 0 in range, how much
-        # is seen in each direction, tells more of the sensor than of the place.
+        # The grid is real, so half of its spectrum suffices. Frequency 0 in range is the number of
+        # occupied cells in each direction, which depends more on the sensor than on the place.
         k_r = np.arange(1, high_r + 1)
         elevations = TOP_RAD + (np.arange(N_ELEVATIONS) + 0.5) * CELL_RAD
         self._dft_a = dft(N_AZIMUTHS, N_AZIMUTHS, k_a)
-        # Cells are narrower towards the poles.
+        # Cells are narrower towards the poles, so they get a smaller weight.
         self._dft_e = dft(N_ELEVATIONS, N_ELEVATIONS, k_e) * np.cos(elevations).astype(np.float32)
         self._dft_r = dft(N_RANGES, RANGE_PERIOD, k_r)
         cells_a, cells_e = (np.arange(-most, most + 1) for most in MAX_SHIFTS)
@@ -55,9 +57,9 @@ class Panorama:
         self.shape = (len(k_a), len(k_e), len(k_r))
 
     def spectrum(self, points_level: NDArray[np.float32]) -> NDArray[np.complex64]:
-        """Return the spectrum, of ``shape`` and length 1, of points (N, 3) in the levelled frame.
+        """Return the spectrum of points (N, 3) in the levelled frame, an array of ``shape``.
 
-        Where nothing is in range it is zero.
+        It has norm 1, or is zero if no point is in range.
         """
         x, y, z = points_level.T
         across2 = x * x + z * z
@@ -83,7 +85,7 @@ class Panorama:
 
     @staticmethod
     def pack(spectrum: NDArray[np.complex64]) -> tuple[NDArray[np.int8], np.float32]:
-        """Return a spectrum in bytes, (*shape, 2), real and imaginary, and what a step is."""
+        """Quantise a spectrum to int8 (*shape, 2), real and imaginary; return it and its step."""
         parts = spectrum[..., None].view(np.float32)
         step = np.float32(np.abs(parts).max() / 127)
         return np.rint(parts / (step if step > 0 else 1.0)).astype(np.int8), step
@@ -94,20 +96,20 @@ class Panorama:
         steps: NDArray[np.float32],
         query: NDArray[np.complex64],
     ) -> NDArray[np.float32]:
-        """Return the highest correlation (n,) of packed spectra with a query's, at most 1."""
+        """Return the largest correlation (n,), at most 1, of packed spectra with a query."""
         scores = np.empty(len(packed), np.float32)
         ranges = np.conj(query[:, :, None] * self._shift_r)
-        # Of the last product, over azimuth, only the real part is wanted.
+        # Only the real part of the last product, over azimuth, is needed.
         turn = np.concatenate([self._shift_a.real, self._shift_a.imag], axis=1)
         for start in range(0, len(packed), CHUNK):
-            some = slice(start, start + CHUNK)
-            # The views last: then all is contiguous along them.
-            spectra = packed[some].astype(np.float32).view(np.complex64)[..., 0]
+            chunk = slice(start, start + CHUNK)
+            # With the views as the last axis, memory is contiguous along them.
+            spectra = packed[chunk].astype(np.float32).view(np.complex64)[..., 0]
             product = ranges @ np.ascontiguousarray(spectra.transpose(1, 2, 3, 0))
             n_a, n_e, n_r, n = product.shape
             product = self._shift_e.conj() @ product.reshape(n_a, n_e, n_r * n)
             parts = np.concatenate([product.real, product.imag]).reshape(2 * n_a, -1)
             correlation = (turn @ parts).reshape(-1, n_r, n).max(axis=0)
-            correlation *= steps[some]
-            scores[some] = (correlation - self._cost_r[:, None]).max(axis=0)
+            correlation *= steps[chunk]
+            scores[chunk] = (correlation - self._cost_r[:, None]).max(axis=0)
         return scores

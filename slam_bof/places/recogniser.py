@@ -1,9 +1,9 @@
-"""Recognise places from depth alone: which earlier view shows the same surfaces, and from where.
+"""Place recognition from depth alone: find earlier views of the same surfaces, and their poses.
 
-BOFs of level contours vote for views and motions, and range panoramas are compared with the views
-that have most votes (``view_index``); the best are aligned, and ranked by what both views see.
-Matches of the view before are followed by odometry, and aligned as well: where a view shows too
-little to be found, the place is still known from a moment ago.
+BOF descriptors of level contours vote for earlier views and relative poses, and the range panorama
+is compared with those of the views with most votes (``view_index``). The best views are aligned
+with the query and ranked by the surfaces that both see. The matches of the last view are
+propagated by odometry and aligned as well, so that a place is not lost in a view with few features.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from slam_bof.types import Array, DepthFrame, Params, Pose
 __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
 
 UPRIGHT = np.array([0.0, 1.0, 0.0])
-"""Down in a camera held upright."""
+"""Direction of gravity in the frame of an upright camera."""
 
 Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
-"""Measures how far a view agrees with others (n,) at ``T_match_query`` (n, 4, 4)."""
+"""Measures the agreement of a view with others (n,) at poses ``T_match_query`` (n, 4, 4)."""
 
 
 class RecogniserParams(Params):
-    """How many views each step looks at, and how alignments are ranked."""
+    """Parameters of place recognition: sizes of the shortlists, and ranking of alignments."""
 
     n_aligned: int = Field(
         20,
@@ -106,9 +106,10 @@ class PlaceMatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shortlist:
-    """Views that agree: ``scores`` (n,) of all asked, the best ones' ids and pose hypotheses.
+    """The views that are most similar to a query before alignment.
 
-    ``view_ids`` (m,) are best first, ``starts`` (m, S, 4, 4) poses ``T_match_query`` to align from.
+    ``scores`` (n,) are those of all views that were searched. ``view_ids`` (m,) are the best views,
+    best first, and ``starts`` (m, S, 4, 4) the initial poses ``T_match_query`` of their alignment.
     """
 
     scores: NDArray[np.float32]
@@ -117,23 +118,23 @@ class Shortlist:
 
 
 class PlaceRecogniser:
-    """Remembers views and recognises their places.
+    """Stores views and recognises their places in later ones.
 
     Parameters
     ----------
     gravity_odom
-        (3,) roughly down in the odometry's frame, as ``GravityTracker`` has it.
+        (3,) rough direction of gravity in the odometry frame; see ``GravityTracker``.
     seed
-        Of the points and the poses that alignment draws.
+        Seed of the points and poses that alignment draws.
     never_lost
-        Whether the poses are known to be right, as ``GravityTracker`` has it.
+        Whether all poses are correct; see ``GravityTracker``.
 
     Examples
     --------
     >>> recogniser = PlaceRecogniser()
     >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
     ...     view_id = recogniser.add(frame, T_odom_camera)
-    ...     for match in recogniser.recognise(view_id, view_id - 20)[:1]:  # the best, of old ones
+    ...     for match in recogniser.recognise(view_id, view_id - 20)[:1]:  # the best old view
     ...         print(match.view_id, match.inlier_ratio, match.T_match_query)
     """
 
@@ -151,15 +152,15 @@ class PlaceRecogniser:
         self._R_level_camera = GrowingArray((3, 3), np.float64)
         self._T_odom_camera = GrowingArray((4, 4), np.float64)
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
-        self._before: tuple[int, list[PlaceMatch]] = (0, [])
+        self._last_matches: tuple[int, list[PlaceMatch]] = (0, [])
 
     def __len__(self) -> int:
-        """Return the number of views remembered."""
+        """Return the number of stored views."""
         return len(self._R_level_camera)
 
     @one_blas_thread()
     def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
-        """Remember a view, and return its id: 0, 1, 2 ..."""
+        """Store a view, and return its id: 0, 1, 2 ..."""
         gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
         return self._add(frame, T_odom_camera, gravity_camera)
 
@@ -167,18 +168,19 @@ class PlaceRecogniser:
     def temporary_query(
         self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
     ) -> Iterator[int]:
-        """Remember a view of which no odometry tells, and forget it when the block ends.
+        """Store a view without odometry for the duration of a ``with`` block.
 
-        The block may ask with the id that it is given (``recognise_alone``), and must not add
+        The block receives the id of the view for queries (``recognise_alone``). It must not add
         views.
 
         Parameters
         ----------
         frame
-            Of the same camera as the views.
+            Frame of the same camera as the views.
         gravity_camera
-            (3,) down in the camera's frame, as an inertial sensor has it. Without, the frame
-            tells it by itself, if the camera is tilted as in the views, to within some 40 degrees.
+            (3,) direction of gravity in the camera frame, such as that of an inertial sensor. By
+            default it is estimated from the frame, which requires that the tilt of the camera is
+            within about 40 degrees of that of the views.
 
         Raises
         ------
@@ -186,7 +188,7 @@ class PlaceRecogniser:
             If the frame is of another camera.
         """
         if gravity_camera is None:
-            # Who looked down at a table most of the time does so again.
+            # The mean tilt of the stored views is the best initial guess.
             reference = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
             tracker = GravityTracker(reference, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
@@ -195,91 +197,91 @@ class PlaceRecogniser:
             yield view_id
         finally:
             self.deactivate()
-            for held in (self._aligner, self._T_odom_camera, self._R_level_camera):
-                held.truncate(view_id)
+            for store in (self._aligner, self._T_odom_camera, self._R_level_camera):
+                store.truncate(view_id)
 
     def deactivate(self) -> None:
-        """Leave the newest view out of later searches, for it shows what an older one does.
+        """Exclude the newest view from later searches, because an older one shows the same.
 
-        So searches cost by how much there is to see, not by how long one has looked.
+        The cost of a search therefore depends on the size of the place, not on the time spent.
         """
         self._index.pop()
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
-        """Expect views of another odometry, down in whose frame is about ``gravity_odom`` (3,)."""
+        """Prepare for views with another odometry frame and its rough gravity ``gravity_odom``."""
         self._gravity = GravityTracker(gravity_odom)
-        self._before = (0, [])
+        self._last_matches = (0, [])
 
     def state(self) -> list[Any]:
-        """Return the matches that are followed, as JSON has them."""
-        view_id, matches = self._before
+        """Return the matches that are followed, as JSON values."""
+        view_id, matches = self._last_matches
         return [view_id, [[match.view_id, match.T_match_query.tolist()] for match in matches]]
 
     def restore(self, state: list[Any]) -> None:
-        """Follow these matches."""
+        """Restore the matches that are followed from ``state``."""
         view_id, matches = state
-        self._before = (
+        self._last_matches = (
             view_id,
             [PlaceMatch(match_id, np.nan, np.array(T), np.nan, np.nan) for match_id, T in matches],
         )
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all views remembered."""
+        """Size of all stored views in bytes."""
         return self._aligner.nbytes + self._index.nbytes + self._R_level_camera.rows.nbytes
 
     def agreement(
         self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
     ) -> Agreement:
-        """Measure how far a view agrees with others (n,) at poses (n, 4, 4)."""
+        """Measure the agreement of a view with others (n,) at poses (n, 4, 4)."""
         return self._aligner.agreement(view_id, match_ids, T_match_query)
 
     def points_camera(self, view_id: int, n_points: int) -> Array:
-        """Return ``n_points`` points (n, 3) of a view, some twice where it has fewer."""
+        """Return ``n_points`` points (n, 3) of a view, with repetition if it has fewer."""
         return self._aligner.sampled(view_id, n_points)
 
     def coverage(
         self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
     ) -> Coverage:
-        """Measure how far a view agrees with others (n,), taken together, at poses (n, 4, 4)."""
+        """Measure the agreement of a view with others (n,) together, at poses (n, 4, 4)."""
         return self._aligner.coverage(view_id, match_ids, T_match_query)
 
     def recognise(self, view_id: int, n_views: int) -> list[PlaceMatch]:
-        """Return the first ``n_views`` views that may show what this one does, best first."""
+        """Return those of the first ``n_views`` views that may match this one, best first."""
         return self.rank(view_id, self.retrieve(view_id, n_views))
 
     def recognise_alone(
-        self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
+        self, view_id: int, n_views: int, *, exclude: NDArray[np.integer[Any]] | None = None
     ) -> list[PlaceMatch]:
-        """Return what ``recognise`` does, ``but`` for some views, following no earlier matches."""
-        shortlist = self.retrieve(view_id, n_views, but=but)
+        """Recognise a view without following earlier matches; views ``exclude`` are left out."""
+        shortlist = self.retrieve(view_id, n_views, exclude=exclude)
         return self._rank(view_id, shortlist.view_ids, shortlist.starts)
 
     @one_blas_thread()
     def retrieve(
-        self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
+        self, view_id: int, n_views: int, *, exclude: NDArray[np.integer[Any]] | None = None
     ) -> Shortlist:
-        """Return which of the first ``n_views`` views, ``but`` for some, agree, unaligned.
+        """Return the most similar of the first ``n_views`` views, without aligning them.
 
-        The score of those that were not compared, left out or deactivated is -1. The view that
-        asks must not be deactivated.
+        The score is -1 for views that were not compared, are in ``exclude`` or were deactivated.
+        The query itself must not be deactivated.
         """
-        found = self._index.propose(view_id, n_views, self.params.n_aligned, but=but)
+        found = self._index.propose(view_id, n_views, self.params.n_aligned, exclude=exclude)
         R = self._R_level_camera.rows
         moved = camera_motions(found.motions, R[view_id], R[found.view_ids])
-        still = np.broadcast_to(np.eye(4), moved.shape)
-        return Shortlist(found.scores, found.view_ids, np.stack([moved, still], axis=1))
+        unmoved = np.broadcast_to(np.eye(4), moved.shape)
+        return Shortlist(found.scores, found.view_ids, np.stack([moved, unmoved], axis=1))
 
     @one_blas_thread()
     def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
-        """Align the view with those of a shortlist and those that it follows, and rank them.
+        """Align a view with a shortlist and with the matches followed by odometry; rank them.
 
-        They are followed to the view that is ranked next.
+        The best of the result are followed to the next view that is ranked.
         """
         ids, starts = self._follow(view_id, shortlist)
         matches = self._rank(view_id, ids, starts)
         if matches:
-            self._before = (view_id, matches[: self.params.n_followed])
+            self._last_matches = (view_id, matches[: self.params.n_followed])
         return matches
 
     def _rank(self, view_id: int, ids: NDArray[np.intp], starts: Array) -> list[PlaceMatch]:
@@ -300,28 +302,30 @@ class PlaceRecogniser:
         ]
 
     def _follow(self, view_id: int, shortlist: Shortlist) -> tuple[NDArray[np.intp], Array]:
-        """Return ``n_aligned`` views and their starts: listed, and what the last matches lead to.
+        """Return ``n_aligned`` views and initial poses, from the shortlist and the last matches.
 
-        Where one leads to a view that is listed already, it replaces the start to stand still.
+        If a last match leads to a view of the shortlist, its pose replaces the initial pose
+        without motion.
         """
         T_odom_camera = self._T_odom_camera.rows
-        last_id, matches = self._before
+        last_id, matches = self._last_matches
         T_last_query = se3.inverse(T_odom_camera[last_id]) @ T_odom_camera[view_id]
-        around = self.params.n_neighbours
-        leads: dict[int, Pose] = {}
+        followed: dict[int, Pose] = {}
         for match in matches:
             T_match_query = match.T_match_query @ T_last_query
             T_odom_query = T_odom_camera[match.view_id] @ T_match_query
-            for near in self._index.around(match.view_id, around, len(shortlist.scores)):
-                leads.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
+            for near in self._index.neighbours(
+                match.view_id, self.params.n_neighbours, len(shortlist.scores)
+            ):
+                followed.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
         ids, starts = shortlist.view_ids, shortlist.starts.copy()
         for k, listed in enumerate(ids):
-            starts[k, -1] = leads.pop(int(listed), starts[k, -1])
-        led = list(leads.items())[: self.params.n_aligned // 2]
-        n_listed = self.params.n_aligned - len(led)
-        ids = np.concatenate([ids[:n_listed], np.array([near for near, _ in led], np.intp)])
-        poses = np.array([T for _, T in led]).reshape(-1, 1, 4, 4)
-        poses = np.broadcast_to(poses, (len(led), *starts.shape[1:]))
+            starts[k, -1] = followed.pop(int(listed), starts[k, -1])
+        added = list(followed.items())[: self.params.n_aligned // 2]
+        n_listed = self.params.n_aligned - len(added)
+        ids = np.concatenate([ids[:n_listed], np.array([near for near, _ in added], np.intp)])
+        poses = np.array([T for _, T in added]).reshape(-1, 1, 4, 4)
+        poses = np.broadcast_to(poses, (len(added), *starts.shape[1:]))
         return ids, np.concatenate([starts[:n_listed], poses])
 
     @one_blas_thread()
@@ -335,12 +339,12 @@ class PlaceRecogniser:
         return len(self) - 1
 
     def _score(self, T_match_query: Array, agreement: Array) -> Array:
-        """Rank by agreement up to what is enough; beyond, by how near the views are."""
+        """Score by agreement up to ``overlap_saturation``; prefer near viewpoints beyond it."""
         p = self.params
         distance = np.linalg.norm(T_match_query[:, :3, 3], axis=1) / p.near_m
         angle = se3.rotation_angle(T_match_query) / np.radians(p.near_deg)
         near = np.exp(-(distance**2 + angle**2) / 2)
-        more = np.maximum(agreement - p.overlap_saturation, 0.0)
+        excess = np.maximum(agreement - p.overlap_saturation, 0.0)
         return np.asarray(
-            np.minimum(agreement, p.overlap_saturation) + 0.1 * more + p.near_bonus * near
+            np.minimum(agreement, p.overlap_saturation) + 0.1 * excess + p.near_bonus * near
         )

@@ -1,8 +1,9 @@
-"""Views in the order in which they are searched, and what proposes that two show one place.
+"""The search index of views, which proposes pairs of views of the same place.
 
-Two proposers: the constellation, whose contours vote for views and motions (``slam_bof.bof``), and
-the range panorama. They miss different views: contours that the image's edge cuts change as the
-camera turns, which the panorama hardly notices, and the panorama changes as the camera moves.
+It combines two methods: the constellation, whose contours vote for views and relative poses
+(``slam_bof.bof``), and the range panorama. They fail in different cases. Contours that are cut by
+the border of the image change when the camera turns, which hardly affects the panorama; the
+panorama changes when the camera translates.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = ["Proposals", "ViewIndex", "ViewIndexParams"]
 
 
 class ViewIndexParams(Params):
-    """How many views each step looks at, and what the proposers count."""
+    """Sizes of the shortlists of the search, and weights of its two scores."""
 
     n_voted: int = Field(
         200,
@@ -46,10 +47,11 @@ class ViewIndexParams(Params):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Proposals:
-    """Views that may show what a query does.
+    """Views that may show the same place as a query.
 
-    ``scores`` (n,) are those of all asked, -1 of what was not compared. ``view_ids`` (m,) are the
-    best, best first, and ``motions`` (m,) those of the query's levelled frame in theirs.
+    ``scores`` (n,) are those of all views searched, -1 for those that were not compared.
+    ``view_ids`` (m,) are the best, best first. ``motions`` (m,) are the poses of the levelled frame
+    of the query in theirs.
     """
 
     scores: NDArray[np.float32]
@@ -58,7 +60,7 @@ class Proposals:
 
 
 class ViewIndex:
-    """Holds what the two proposers know of each view."""
+    """Stores the constellation and the range panorama of each view."""
 
     def __init__(self, params: ViewIndexParams) -> None:
         self.params = params
@@ -70,11 +72,11 @@ class ViewIndex:
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all views held."""
+        """Size of all stored views in bytes."""
         return self._index.nbytes + self._panoramas.rows.nbytes
 
     def add(self, view_id: int, bofs: PlacedBofs, points_level: NDArray[np.float32]) -> None:
-        """Hold another view, whose id is above all before, with its points (N, 3)."""
+        """Add a view with its levelled points (N, 3). Ids must increase."""
         self._index.add(bofs)
         packed, step = self._panorama.pack(self._panorama.spectrum(points_level))
         self._panoramas.append(packed)
@@ -88,46 +90,46 @@ class ViewIndex:
         self._panoramas.truncate(len(self._ids))
         self._steps.truncate(len(self._ids))
 
-    def around(self, view_id: int, n: int, below: int) -> list[int]:
-        """Return the ids of a view and of ``n`` on either side that are searched, all < below."""
+    def neighbours(self, view_id: int, n: int, below: int) -> list[int]:
+        """Return the ids of a view and of ``n`` stored views before and after it, all < below."""
         at = bisect_left(self._ids, view_id)
         return self._ids[max(0, at - n) : min(at + n + 1, bisect_left(self._ids, below))]
 
     def propose(
-        self, view_id: int, n_views: int, n: int, *, but: NDArray[np.integer[Any]] | None = None
+        self, view_id: int, n_views: int, n: int, *, exclude: NDArray[np.integer[Any]] | None = None
     ) -> Proposals:
-        """Return which of the views with ids below ``n_views``, ``but`` for some, are alike.
+        """Search the views with ids below ``n_views``, without those in ``exclude``.
 
-        The view that asks must be held; the best ``n`` are returned with their motions.
+        The query must be a stored view. The best ``n`` are returned with their motions.
         """
         p = self.params
         ids = np.array(self._ids, np.intp)
-        allowed = (ids < n_views) & ~np.isin(ids, [] if but is None else but)
-        asking = bisect_left(self._ids, view_id)
-        bofs = self._index.bofs(asking)
+        allowed = (ids < n_views) & ~np.isin(ids, [] if exclude is None else exclude)
+        query_row = bisect_left(self._ids, view_id)
+        bofs = self._index.bofs(query_row)
         if allowed.sum() > p.n_voted:
             rows = voted = self._index.candidates(bofs, p.n_voted, allowed=allowed)
         else:
             rows = np.flatnonzero(allowed)
             voted = self._index.candidates(bofs, p.n_compared, allowed=allowed)
-        alike = self._alike(rows, asking)
-        # Compared contour by contour: half by each proposer.
+        panorama_scores = self._panorama_scores(rows, query_row)
+        # Of the views that are compared contour by contour, each method proposes half.
         voted = voted[: p.n_compared // 2]
-        by_panorama = rows[np.argsort(-alike, kind="stable")[: p.n_compared - len(voted)]]
+        by_panorama = rows[np.argsort(-panorama_scores, kind="stable")[: p.n_compared - len(voted)]]
         found = self._index.compare(bofs, np.union1d(voted, by_panorama))
         scores = np.full(len(ids), -1.0, np.float32)
-        scores[rows] = alike
+        scores[rows] = panorama_scores
         scores[found.view_ids] += np.float32(p.constellation_weight) * found.scores
         best = np.argsort(-scores[found.view_ids], kind="stable")[:n]
-        of_all = np.full(max(n_views, 0), -1.0, np.float32)
-        of_all[ids[rows]] = scores[rows]
+        scores_by_id = np.full(max(n_views, 0), -1.0, np.float32)
+        scores_by_id[ids[rows]] = scores[rows]
         motions: tuple[NDArray[Any], ...] = found.motions
         return Proposals(
-            of_all, ids[found.view_ids[best]], Motions(*(column[best] for column in motions))
+            scores_by_id, ids[found.view_ids[best]], Motions(*(column[best] for column in motions))
         )
 
-    def _alike(self, rows: NDArray[np.intp], asking: int) -> NDArray[np.float32]:
-        """Return the correlation (n,) of the panoramas of rows (n,) with that of another."""
+    def _panorama_scores(self, rows: NDArray[np.intp], query_row: int) -> NDArray[np.float32]:
+        """Return the correlation (n,) of the panoramas in rows (n,) with that of the query."""
         packed, steps = self._panoramas.rows, self._steps.rows
-        query = packed[asking].astype(np.float32).view(np.complex64)[..., 0] * steps[asking]
+        query = packed[query_row].astype(np.float32).view(np.complex64)[..., 0] * steps[query_row]
         return self._panorama.compare(packed[rows], steps[rows], query)

@@ -1,4 +1,4 @@
-"""Connected components of the pose graph: track segments that loops have joined."""
+"""Connected components of the pose graph: track segments that are joined by loops."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ __all__ = ["MapComponents"]
 class MapComponents:
     """The component of each keyframe.
 
-    Within a component, the relative poses of keyframes are known. Between components they are
-    not: odometry was lost there, and no loop has joined the two yet.
+    Relative poses of keyframes are known within a component. Between components they are unknown,
+    because odometry was lost there and no loop has joined the two yet.
 
     >>> components = MapComponents()
     >>> for segment in (0, 0, 1, 1, 2):
@@ -32,15 +32,15 @@ class MapComponents:
         return int(self._joined.n_subsets)
 
     def add(self, segment: int) -> None:
-        """Take the segment of the next keyframe."""
+        """Add the next keyframe, given its segment."""
         self._segments.append(segment)
         self._joined.add(segment)
 
     def join(self, keyframe_id: int, other_id: int) -> None:
-        """Make one component of those that two keyframes are in."""
+        """Join the components of two keyframes."""
         self._joined.merge(self._segments[keyframe_id], self._segments[other_id])
 
     def of_keyframes(self) -> NDArray[np.int64]:
-        """Return each keyframe's component (K,), called by the first of its segments."""
+        """Return the component (K,) of each keyframe, named by the first of its segments."""
         component = {segment: min(self._joined.subset(segment)) for segment in self._joined}
         return np.array([component[segment] for segment in self._segments], dtype=np.int64)

@@ -1,4 +1,4 @@
-"""All parameters of a run as one tree, composed of the parts' own; YAML in and out."""
+"""The configuration of a run: the parameters of all modules in one model, read from YAML."""
 
 from __future__ import annotations
 
@@ -42,8 +42,7 @@ PORTS_OF_KEYS = {
     "verifier": "verifiers",
     "backend": "backends",
 }
-"""Which port a key of the configuration chooses the plug-in of."""
-
+"""The port of the plug-in that each key of the configuration selects."""
 
 RENAMED_KEYS = {
     "tracking.less": "max_inlier_drop",
@@ -75,13 +74,13 @@ RENAMED_KEYS = {
     "labels.ahead_m": "look_ahead_m",
     "regions": "rooms",
 }
-"""Keys of earlier versions by the end of their path, and their names today."""
+"""Keys of earlier versions, given by the end of their path, and their present names."""
 
 
 class PluginChoice(Params):
-    """A plug-in by name, with its options; a bare name will do in YAML."""
+    """The name of a plug-in and its options. In YAML a name alone is accepted."""
 
-    given_whole: ClassVar[bool] = True  # options of one plug-in are none of another's
+    keeps_own_defaults: ClassVar[bool] = True  # default options belong to the default plug-in alone
 
     name: str = Field(description="Name of the plug-in, as slam-bof plugins lists it.")
     options: dict[str, Any] = Field(
@@ -90,7 +89,7 @@ class PluginChoice(Params):
 
 
 class Config(Params):
-    """Everything that, with a sequence, determines a run."""
+    """All parameters of a run."""
 
     model: str = Field(
         "default", description='Model file, or "default" for the one in the package.'
@@ -134,12 +133,12 @@ class Config(Params):
 
 
 def load(path: Path | str) -> Config:
-    """Read a YAML file; what it leaves out keeps its default.
+    """Read a YAML file; missing keys keep their defaults.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is no YAML, or a key or value is not known.
+        If the file cannot be read or is not YAML, a key is unknown or a value is invalid.
     """
     path = Path(path)
     try:
@@ -161,7 +160,7 @@ def parse(text: str, where: str) -> Config:
 def parse_saved(text: str, where: str) -> Config:
     """Return the configuration that a saved map keeps, as ``parse`` does.
 
-    Keys of earlier versions, which ``parse`` refuses, are taken under the names they have now.
+    Keys of earlier versions, which ``parse`` refuses, are replaced by their present names.
     """
     return _validate(_upgrade(_read_yaml(text, where)), where)
 
@@ -176,19 +175,19 @@ def _read_yaml(text: str, where: str) -> Any:
 
 
 def presets() -> list[str]:
-    """Return the names of the configurations that come along."""
+    """Return the names of the configurations in the package."""
     return sorted(file.stem for file in PRESETS.glob("*.yaml"))
 
 
 def preset(name: str) -> Config:
-    """Return a configuration that comes along, by name; ``ConfigError`` if there is none."""
+    """Return a configuration of the package by name; raise ``ConfigError`` if unknown."""
     if name not in presets():
         raise ConfigError(f"no preset {name!r}; {suggest(name, presets())}")
     return load(PRESETS / f"{name}.yaml")
 
 
 def resolve(name: str) -> Config:
-    """Return a preset by its name, or else the configuration in the file of that name."""
+    """Return the preset of that name, or else the configuration in the file of that name."""
     if name in presets():
         return preset(name)
     if Path(name).suffix in (".yaml", ".yml") or Path(name).exists():
@@ -197,12 +196,12 @@ def resolve(name: str) -> Config:
 
 
 def dump(config: Config) -> str:
-    """Return a configuration as YAML, defaults included; ``load`` gives the same back."""
+    """Return a configuration as YAML, defaults included. ``load`` restores it."""
     return yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
 
 
 def override(config: Config, assignments: Iterable[str]) -> Config:
-    """Return the configuration with ``key.sub=value`` assignments made; values are YAML.
+    """Return the configuration after assignments ``key.sub=value``, whose values are YAML.
 
     >>> override(Config(), ["loops.top_k=3", "odometry=open3d"]).odometry.name
     'open3d'
@@ -223,14 +222,14 @@ def override(config: Config, assignments: Iterable[str]) -> Config:
 def complete(config: Config) -> Config:
     """Return the configuration with every option of its plug-ins written out.
 
-    Loads the plug-ins and checks their options, which reading a file alone does not; raises as
-    ``registry.check_options``.
+    Plug-ins are loaded and their options are validated, which reading a file alone does not do.
+    Errors are those of ``registry.check_options``.
     """
     choices = {}
     for key, port in PORTS_OF_KEYS.items():
         choice: PluginChoice = getattr(config, key)
         if port == "datasets" and choice.name == "auto":
-            continue  # whose options these are is known only when there is a folder to look at
+            continue  # the plug-in is unknown until there is a folder to recognise
         params = registry.check_options(port, choice.name, choice.options)
         options = params.model_dump(mode="json") if params else {}
         choices[key] = PluginChoice(name=choice.name, options=options)
@@ -249,7 +248,7 @@ def _validate(values: Any, where: str) -> Config:
 
 
 def _renamed_keys(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
-    """Find keys that have another name now; yield their whole path and that name."""
+    """Yield the path of each key of an earlier version, and its present name."""
     if not isinstance(values, Mapping):
         return
     for key, value in values.items():
@@ -260,7 +259,7 @@ def _renamed_keys(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _upgrade(values: Any, path: str = "") -> Any:
-    """Return the values with today's names for keys of earlier versions."""
+    """Return the values with keys of earlier versions renamed."""
     if not isinstance(values, Mapping):
         return values
     upgraded = {}
@@ -273,7 +272,7 @@ def _upgrade(values: Any, path: str = "") -> Any:
 
 def _assign(values: dict[str, Any], path: list[str], value: Any) -> None:
     for part in path[:-1]:
-        # A key that is not there is made, so that validation can name it.
+        # A missing key is created, so that validation reports it.
         child = values.setdefault(part, {})
         if not isinstance(child, dict):
             raise ConfigError(f"--set: key {'.'.join(path)!r}: {part!r} has no keys below it")

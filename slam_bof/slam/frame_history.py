@@ -1,4 +1,4 @@
-"""The frames of a session: where odometry had each, where tracking has it, and where the map."""
+"""The poses of all frames of a session: from odometry, tracking and the map."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["FrameHistory"]
 
 
 class FrameHistory:
-    """Remembers every frame that was processed, in the order they came."""
+    """Stores the poses of all processed frames in order."""
 
     def __init__(self, frames: Iterable[FramePose] = ()) -> None:
         self.frames: list[FramePose] = list(frames)
@@ -25,24 +25,24 @@ class FrameHistory:
 
     @property
     def last_stamp_s(self) -> float:
-        """When the last frame was taken, in seconds."""
+        """Time of the last frame in seconds, or minus infinity if there is none."""
         return self.frames[-1].stamp_s if self.frames else -np.inf
 
     @property
     def n_lost(self) -> int:
-        """Of how many frames it is not known where the camera was."""
+        """Number of frames whose pose is unknown."""
         return sum(frame.segment == LOST for frame in self.frames)
 
-    def find_last_but_one(self, segment: int) -> None:
-        """Note that the last frame but one is of a segment after all, which the last began."""
+    def assign_previous(self, segment: int) -> None:
+        """Assign the frame before the last one to a segment that began with the last one."""
         self.frames[-2] = replace(self.frames[-2], segment=segment)
 
     def trajectory(
         self, keyframes: Sequence[Keyframe] = (), T_map_keyframes: Array | None = None
     ) -> Trajectory:
-        """Return the sensor's pose of each frame, corrected as its keyframes' are, (K, 4, 4).
+        """Return the sensor pose of each frame, corrected by the keyframe poses (K, 4, 4).
 
-        Without keyframes, as tracking has it.
+        Without keyframes the poses are those of tracking.
         """
         stamps_s = np.array([frame.stamp_s for frame in self.frames])
         poses = np.array([frame.T_odom_camera for frame in self.frames]).reshape(-1, 4, 4)
@@ -57,7 +57,7 @@ class FrameHistory:
         return Trajectory(stamps_s, poses @ self._T_view_camera())
 
     def odometry(self) -> Trajectory:
-        """Return the sensor's pose of each frame by odometry."""
+        """Return the sensor pose of each frame from odometry."""
         poses = np.array([frame.T_odom_raw for frame in self.frames]).reshape(-1, 4, 4)
         stamps_s = np.array([frame.stamp_s for frame in self.frames])
         return Trajectory(stamps_s, poses @ self._T_view_camera())

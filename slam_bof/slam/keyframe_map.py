@@ -1,4 +1,4 @@
-"""The map's keyframes: each is described, found again in older ones, and tied into the graph."""
+"""The keyframes of the map: description, loop detection and insertion into the pose graph."""
 
 from __future__ import annotations
 
@@ -45,25 +45,27 @@ from slam_bof.types import (
 __all__ = ["KeyframeMap"]
 
 N_OVERLAP_POINTS = 200
+"""Approximate number of points used to measure the overlap of two keyframes."""
 
 
 class KeyframeMap:
-    """Takes the frames that become keyframes, of one session after the other.
+    """Stores the keyframes of one or more sessions, and closes loops between them.
 
     Attributes
     ----------
     keyframes
-        All, in the order they came.
+        All keyframes in the order in which they were added.
     first_keyframe
-        The first of the session; those before it are of a saved map.
+        Id of the first keyframe of the current session.
     session
-        How many sessions were before.
+        Number of the current session, from 0.
     graph
-        What holds them together.
+        The pose graph of the keyframes.
     model_hash
-        Of the model whose words describe them.
+        Content hash of the model whose vocabulary describes the keyframes.
     T_map_track
-        (4, 4) what corrects the track that the newest keyframe is of.
+        (4, 4) correction of the track that the newest keyframe belongs to:
+        ``T_map_camera = T_map_track @ T_odom_camera``.
     """
 
     def __init__(
@@ -98,7 +100,7 @@ class KeyframeMap:
 
     @classmethod
     def from_config(cls, config: Config, clock: StageClock) -> Self:
-        """Build one as a configuration says."""
+        """Build a map from a configuration."""
         model = models.resolve(config.model)
         detector = LoopDetector(
             config.loops,
@@ -129,7 +131,7 @@ class KeyframeMap:
 
     @property
     def of_session(self) -> list[Keyframe]:
-        """The keyframes of this session."""
+        """The keyframes of the current session."""
         return self.keyframes[self.first_keyframe :]
 
     @property
@@ -139,12 +141,12 @@ class KeyframeMap:
 
     @property
     def loops(self) -> list[Loop]:
-        """The edges of the graph between keyframes that see the same surfaces."""
+        """The loop and covisibility edges of the pose graph."""
         return self.graph.loops
 
     @property
     def loops_left_out(self) -> list[Loop]:
-        """The edges that ``LoopCloser.finish`` found to contradict the others."""
+        """The edges that ``LoopCloser.finish`` removed because they contradict the others."""
         return self.graph.left_out
 
     def poses(self) -> Array:
@@ -158,16 +160,16 @@ class KeyframeMap:
 
     @property
     def components(self) -> NDArray[np.intp]:
-        """The component (K,) that each keyframe is in."""
+        """The component (K,) of each keyframe."""
         return self.graph.components.of_keyframes()
 
     @property
     def loop_counts(self) -> LoopCounts:
-        """The session's keyframes so far by how far their search for a loop came."""
+        """Numbers of keyframes of this session by the stage that their loop search reached."""
         return self._detector.counts
 
     def begin_session(self) -> None:
-        """Expect keyframes of another odometry, whose clock may start anew."""
+        """Begin a session with another odometry frame. Its clock may restart."""
         self.session += 1
         self.first_keyframe = len(self)
         self._detector.begin_session(self._gravity_odom)
@@ -176,7 +178,7 @@ class KeyframeMap:
     def add(
         self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
     ) -> Verified:
-        """Make a frame the newest keyframe; return what came of its candidates."""
+        """Add a frame as the newest keyframe; return the decisions about its loop candidates."""
         with self._clock.stage("describe"):
             gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
@@ -186,12 +188,21 @@ class KeyframeMap:
                 smoothed = self._scene_filter.update(
                     scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
                 )
-        where = (len(self), frame_index, frame.stamp_s, T_odom_camera)
-        keyframe = Keyframe(*where, bag, scene, segment, smoothed, self.session)
+        keyframe = Keyframe(
+            id=len(self),
+            frame_index=frame_index,
+            stamp_s=frame.stamp_s,
+            T_odom_camera=T_odom_camera,
+            bag=bag,
+            scene=scene,
+            segment=segment,
+            smoothed=smoothed,
+            session=self.session,
+        )
         return self.add_described(keyframe, frame)
 
     def add_described(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
-        """Add a keyframe that has its bag and label."""
+        """Add a keyframe whose bag of words and scene label are known."""
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
             found = self._detector.find(keyframe, frame)
@@ -208,11 +219,11 @@ class KeyframeMap:
                 components=self.components,
                 guesses=found.guesses,
             )
-        self._close(keyframe, verified.admitted)
+        self._add_loops(keyframe, verified.admitted)
         return verified
 
     def replay(self, record: KeyframeRecord) -> None:
-        """Do again what a saved keyframe came to, but for what was searched for and measured."""
+        """Replay a saved keyframe: restore labels, index and graph without searching again."""
         keyframe, frame = record.keyframe, restore_frame(record.depth, record.keyframe.stamp_s)
         if keyframe.scene is not None:
             position_m = keyframe.T_odom_camera[:3, 3]
@@ -225,17 +236,17 @@ class KeyframeMap:
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
         loops = [loop for loop in record.measured if loop.kind == EdgeKind.LOOP]
         self._verification.admit(loops, self.graph.poses(), self.components)
-        self._close(keyframe, record.admitted)
+        self._add_loops(keyframe, record.admitted)
 
     def state(self) -> dict[str, Any]:
-        """Return what records do not tell, as JSON has it."""
+        """Return the state that keyframe records do not contain, as JSON values."""
         return self._detector.state()
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from there, with the keyframes taken back that it was of."""
+        """Restore a state of ``state``, after its keyframes were replayed."""
         self._detector.restore(state)
 
-    def _close(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
+    def _add_loops(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
         loops = list(loops)
         self._detector.on_loops_accepted(loops)
         with self._clock.stage("optimize"):
@@ -243,11 +254,11 @@ class KeyframeMap:
             self.T_map_track = self.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
 
     def _cloud_params(self, frame: DepthFrame) -> PointParams:
-        """Return which pixels become points: of those that a saved map keeps."""
-        kept = view_stride(frame.intrinsics)
-        if self._cloud.stride % kept == 0:
+        """Return the parameters of the point cloud, limited to pixels that a saved map keeps."""
+        saved_stride = view_stride(frame.intrinsics)
+        if self._cloud.stride % saved_stride == 0:
             return self._cloud
-        return self._cloud.model_copy(update={"stride": kept})
+        return self._cloud.model_copy(update={"stride": saved_stride})
 
     def _find_covisible(
         self,
@@ -257,11 +268,11 @@ class KeyframeMap:
         T_map_camera: Array,
         found: set[int],
     ) -> list[Candidate]:
-        """Return those keyframes, but for ``found``, that by the map see what this one sees."""
+        """Return keyframes, without ``found``, that see the same surfaces according to the map."""
         p = self._covisibility
-        every = max(1, len(points) // N_OVERLAP_POINTS)
+        stride = max(1, len(points) // N_OVERLAP_POINTS)
         overlaps = view_overlap(
-            points[::every], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m
+            points[::stride], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m
         )
         components = self.components
         overlaps[components[:-1] != components[-1]] = 0.0

@@ -1,4 +1,4 @@
-"""The plug-in: two calls beside any odometry."""
+"""The plug-in for an existing odometry: ``process`` each frame, then ``finish``."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ from slam_bof.types import (
 __all__ = ["Journal", "LoopCloser"]
 
 Journal = Callable[[KeyframeRecord], None]
-"""Takes each keyframe with all that was learnt with it, such as ``MapWriter.write``."""
+"""Called with the record of each new keyframe to save it, such as ``MapWriter.write``."""
 
 
 class LoopCloser:
-    """Loop closing, map correction and scene labels beside an odometry of your own.
+    """Adds loop closing, map correction and scene labels to your own odometry.
 
     >>> closer = LoopCloser.from_preset("indoor")  # doctest: +SKIP
     >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
@@ -57,7 +57,7 @@ class LoopCloser:
     ) -> None:
         self.history = FrameHistory()
         self.journal = journal
-        """Takes each keyframe with all that was learnt with it."""
+        """Called with the record of each new keyframe, if not None."""
         self._map = keyframes
         self._tracking, self._seed = tracking, seed
         self._tracker = Tracker(tracking, seed=seed)
@@ -68,7 +68,7 @@ class LoopCloser:
 
     @classmethod
     def from_preset(cls, name: str = "indoor", *, journal: Journal | None = None) -> Self:
-        """Build one from a preset by name: ``indoor`` or ``paper``."""
+        """Build a loop closer from a preset by name: ``indoor`` or ``paper``."""
         return cls.from_config(preset(name), journal=journal)
 
     @classmethod
@@ -79,7 +79,10 @@ class LoopCloser:
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> Self:
-        """Build one from a configuration or its YAML file; ``journal`` takes what is learnt."""
+        """Build a loop closer from a configuration or a YAML file.
+
+        ``journal`` is called with the record of each new keyframe.
+        """
         config = config if isinstance(config, Config) else load(Path(config))
         clock = clock or StageClock()
         return cls(
@@ -93,52 +96,54 @@ class LoopCloser:
         )
 
     def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
-        """Take a frame and its odometry pose (4, 4); answer with the map's correction.
+        """Process a frame and its odometry pose (4, 4); return the correction by the map.
 
         Raises
         ------
         ValueError
-            If stamps do not grow, the frame is of another camera than those before, or the pose is
-            not finite or no rotation and translation; it is not taken then, and others may follow.
+            If the time stamp does not increase, the camera differs from that of the frames before,
+            or the pose is not a finite rigid transform. Such a frame is ignored, and the next call
+            may continue.
         """
         return self._process(frame, T_odom_camera)
 
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
-        """Take a point cloud where there is no depth image; answer as ``process`` does.
+        """Process a point cloud instead of a depth image, like ``process``.
 
-        Of a depth camera's cloud its image is made again. One from all around, as a LiDAR makes
-        it, is looked at in one direction of the odometry's frame: the first sensor's forward.
-        ``step.keyframe`` and ``step.loops`` are of that view. The first cloud of 100 points or
-        more tells which kind of sensor it is; see ``clouds``.
+        The cloud of a depth camera is projected into a depth image. The cloud of a sensor that
+        sees all around, such as a LiDAR, is projected into a level virtual camera with a fixed
+        direction in the odometry frame: forward in the first pose. ``step.keyframe`` and
+        ``step.loops`` refer to that virtual camera. The type of the sensor is determined from the
+        first cloud with at least 100 points; see ``geometry.CloudCamera``.
 
         Parameters
         ----------
         stamp_s
-            Time in seconds, on any clock that grows.
+            Time in seconds, on any clock that increases.
         points_camera
-            (N, 3) in metres, x right, y down, z forward; what is not finite is dropped.
+            (N, 3) in metres, x right, y down, z forward. Rows that are not finite are dropped.
         T_odom_camera
-            (4, 4) the sensor's pose.
+            (4, 4) pose of the sensor in the odometry frame.
 
         Raises
         ------
         ValueError
-            As ``process``, or if the points are not (N, 3).
+            In the cases of ``process``, or if the points are not (N, 3).
         """
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
-        is_settled = self._camera is not None
+        has_camera = self._camera is not None
         frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
         T_odom_view = T_odom_camera @ T_camera_view
         step = self._process(frame, T_odom_view, se3.inverse(T_camera_view))
-        if not is_settled and not frame.depth.any():
-            self._camera = None  # nothing seen: whatever camera comes next is the first
+        if not has_camera and not frame.depth.any():
+            self._camera = None  # the cloud was empty, so the next camera counts as the first
         return step
 
     def finish(self) -> Trajectory:
         """Optimise the whole graph; return ``T_map_camera`` of every frame of this session.
 
-        Where nothing was ever seen there is no keyframe, and the map is the odometry.
-        Loops that contradict the rest move from ``loops`` to ``loops_left_out``.
+        Without any keyframe, because all frames were empty, this is the odometry. Loops that
+        contradict the others move from ``loops`` to ``loops_left_out``.
         """
         with self._clock.stage("optimize"):
             self._map.graph.optimize()
@@ -148,18 +153,18 @@ class LoopCloser:
 
     @one_blas_thread()
     def restore(self, records: Iterable[KeyframeRecord]) -> None:
-        """Go on from a saved map (``replay_keyframes``), right after its newest keyframe.
+        """Restore a saved map (``replay_keyframes``), to continue after its newest keyframe.
 
-        The next frame is the one after it, of the same odometry; where it is not, call
-        ``begin_session`` first. What follows is the same as if nothing had come in between.
+        The next frame must be the one after that keyframe, with the same odometry; otherwise call
+        ``begin_session`` first. All results are the same as without the interruption.
 
         Raises
         ------
         ValueError
-            If this is not a new one.
+            If this loop closer has processed frames before.
         """
         if self._map.keyframes or len(self.history):
-            raise ValueError("only a new one can go on from a saved map")
+            raise ValueError("only a new loop closer can restore a saved map")
         record = None
         for record in records:
             while self._map.session < record.keyframe.session:
@@ -168,7 +173,7 @@ class LoopCloser:
             self.history.frames.extend(record.frames)
             self._map.replay(record)
         if record is None or not record.state:
-            return  # no run goes on from a map that was pruned, only another session
+            return  # a pruned map cannot be resumed, only continued by another session
         frame, last = restore_frame(record.depth, record.keyframe.stamp_s), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
         self._tracker.restore(record.state["tracker"], frame, track)
@@ -178,10 +183,10 @@ class LoopCloser:
             self._cloud_camera.restore(record.depth.intrinsics, record.state["is_around"])
 
     def begin_session(self) -> None:
-        """Expect frames of another odometry, or of one that was started anew, in the same place.
+        """Begin a session: the next frames have another odometry frame, in the same place.
 
-        Their clock may start anew as well. They are a component of their own until loops
-        join them to what was seen before.
+        The clock may restart. The new keyframes form a separate component of the pose graph until
+        loops join it to the earlier ones.
         """
         self._map.begin_session()
         self.history = FrameHistory()
@@ -191,17 +196,17 @@ class LoopCloser:
 
     @property
     def map(self) -> KeyframeMap:
-        """The keyframes, their graph and their loops; read it, and leave changes to the closer."""
+        """The keyframes, their pose graph and their loops, for reading only."""
         return self._map
 
     @property
     def n_odometry_lost(self) -> int:
-        """How often the odometry was lost so far in this session."""
+        """Number of times that odometry was lost in this session."""
         return self._tracker.n_lost
 
     @property
     def n_frames_lost(self) -> int:
-        """Of how many frames of this session it is not known where the camera was."""
+        """Number of frames of this session whose pose is unknown."""
         return self.history.n_lost
 
     @property
@@ -217,7 +222,7 @@ class LoopCloser:
         frame_index = len(self.history)
         last_s = self.history.last_stamp_s
         if not last_s < frame.stamp_s < np.inf:
-            raise ValueError(f"stamps must grow, got {frame.stamp_s} s after {last_s} s")
+            raise ValueError(f"time stamps must increase, got {frame.stamp_s} s after {last_s} s")
         camera = self._camera or frame.intrinsics
         if frame.intrinsics != camera:
             raise ValueError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
@@ -237,8 +242,8 @@ class LoopCloser:
         )
         if self._begins_segment(track):
             self._selector.reset()
-            # The frame before, whose agreement showed that the track is found.
-            self.history.find_last_but_one(track.segment)
+            # Relocalisation was confirmed by the frame before, so it belongs to the new segment.
+            self.history.assign_previous(track.segment)
         if not track.is_lost and self._selector.select(
             frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
@@ -251,7 +256,7 @@ class LoopCloser:
         return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
 
     def _begins_segment(self, track: Track) -> bool:
-        """Tell whether the track is found anew; a session's first keyframe begins nothing anew."""
+        """Return whether tracking has resumed after a loss, in a new segment."""
         return (
             not track.is_lost
             and len(self._map.keyframes) > self._map.first_keyframe
@@ -270,6 +275,14 @@ class LoopCloser:
                     "detector": self._map.state(),
                     "is_around": self._cloud_camera.is_around,
                 }
-                outcome = (candidates, tuple(verified.measured), admitted)
-                self.journal(KeyframeRecord(keyframe, subsample(frame), unsaved, *outcome, state))
+                record = KeyframeRecord(
+                    keyframe=keyframe,
+                    depth=subsample(frame),
+                    frames=unsaved,
+                    candidates=candidates,
+                    measured=tuple(verified.measured),
+                    admitted=admitted,
+                    state=state,
+                )
+                self.journal(record)
         return Step(keyframe, keyframe.scene, admitted, candidates, np.eye(4))

@@ -1,4 +1,4 @@
-"""The mini-SLAM: an odometry with the plug-in beside it, run over a data set."""
+"""A complete small SLAM system: an odometry and a ``LoopCloser``, run over a data set."""
 
 from __future__ import annotations
 
@@ -30,35 +30,35 @@ __all__ = ["MiniSlam", "SlamResult", "of_session"]
 
 Pair = TypeVar("Pair", Loop, Candidate)
 
-SAME_M = 1e-6
-"""An odometry that is run again over the same frames must not be farther off than this."""
+MAX_ODOMETRY_DIFFERENCE = 1e-6
+"""Largest difference of the odometry, in any entry of the pose, when a run is resumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlamResult:
-    """What a sequence came to: the poses of every frame read, before and after the map.
+    """The result of a run: poses of all frames from odometry and from the map, and the loops.
 
-    ``keyframes``, ``loops`` and ``loops_left_out`` are those of this session, their ids from 0;
-    ``T_map_camera`` (K, 4, 4) are the keyframes' poses.
+    ``keyframes``, ``loops`` and ``loops_left_out`` are those of this session, with ids from 0.
+    ``T_map_camera`` (K, 4, 4) are the poses of the keyframes.
     """
 
     odometry: Trajectory
     optimized: Trajectory
     indices: NDArray[np.int64]
-    """(N,) which frames of the data set these are; those that could not be read are missing."""
+    """(N,) indices of the frames in the data set; frames that could not be read are missing."""
     n_skipped: int
     n_resumed: int
-    """Of how many frames all was known from an interrupted run."""
+    """Number of frames that were restored from an interrupted run."""
     keyframes: list[Keyframe]
     T_map_camera: Array
     loops: list[Loop]
     loops_left_out: list[Loop]
     n_loops_across: int
-    """Loops to earlier sessions."""
+    """Number of loops to earlier sessions."""
 
 
 class MiniSlam:
-    """An odometry with a ``LoopCloser`` beside it, run over a data set."""
+    """Runs an odometry and a ``LoopCloser`` over a data set."""
 
     def __init__(
         self,
@@ -76,12 +76,13 @@ class MiniSlam:
     def run(self, dataset: Dataset, *, max_frames: int | None = None) -> SlamResult:
         """Process the sequence; a frame that cannot be read is skipped with a warning.
 
-        Frames that the closer has restored are seen by the odometry alone, that it may go on.
+        Frames that the loop closer has restored from an interrupted run are processed by the
+        odometry alone.
 
         Raises
         ------
         DatasetError
-            If those are not the frames that the closer has restored.
+            If these frames or their odometry differ from those of the interrupted run.
         """
         n_frames = min(len(dataset), max_frames or len(dataset))
         self._observer.on_start(n_frames)
@@ -108,8 +109,8 @@ class MiniSlam:
             self._observer.on_step(index, step)
         if len(poses) < len(restored):
             raise DatasetError(
-                f"{dataset.sequence}: found {len(poses)} frames, expected the {len(restored)} of "
-                "the interrupted run and those after them"
+                f"{dataset.sequence}: found {len(poses)} frames, expected at least the "
+                f"{len(restored)} frames of the interrupted run"
             )
         stamps_s = np.array([frame.stamp_s for frame in self._closer.history.frames])
         odometry = Trajectory(stamps_s, np.array(poses).reshape(-1, 4, 4))
@@ -135,7 +136,7 @@ class MiniSlam:
 
 
 def of_session(pairs: Iterable[Pair], ids: range) -> list[Pair]:
-    """Return those between keyframes of a session, whose ids then count from 0."""
+    """Return the pairs of keyframes within a session, with ids that count from 0."""
     return [
         replace(pair, query_id=pair.query_id - ids.start, match_id=pair.match_id - ids.start)
         for pair in pairs
@@ -146,16 +147,17 @@ def of_session(pairs: Iterable[Pair], ids: range) -> list[Pair]:
 def _check_same(
     dataset: Dataset, index: int, frame: DepthFrame, T_odom_camera: Pose, before: FramePose
 ) -> None:
-    """Check that a frame is the one that was processed before the interruption."""
+    """Check that a frame and its odometry are the same as in the interrupted run."""
     where = f"{dataset.sequence}: frame {index}"
     if frame.stamp_s != before.stamp_s:
         raise DatasetError(
             f"{where}: found stamp {frame.stamp_s} s, expected {before.stamp_s} s as in the "
             "interrupted run: is this the same sequence?"
         )
-    off_m = float(np.abs(se3.inverse(before.T_odom_raw) @ T_odom_camera - np.eye(4)).max())
-    if off_m > SAME_M:
+    difference = float(np.abs(se3.inverse(before.T_odom_raw) @ T_odom_camera - np.eye(4)).max())
+    if difference > MAX_ODOMETRY_DIFFERENCE:
         raise DatasetError(
-            f"{where}: found odometry {off_m:.2g} (m, rad) off that of the interrupted run, "
-            "expected the same: is this the same sequence, and the odometry deterministic?"
+            f"{where}: found an odometry pose that differs by {difference:.2g} (m, rad) from that "
+            "of the interrupted run, expected the same: is this the same sequence, and is the "
+            "odometry deterministic?"
         )

@@ -89,7 +89,7 @@ MIRROR = "-1 0 0 0 0 1 0 0 0 0 1 0\n"
         ("1.0 0 inf 0 0 0 0 1\n", 1, "found NaN or infinity"),
         ("1.0 0 0 0 0 0 0 1.5\n", 1, "quaternion of norm 1.5, expected 1"),
         ("1.0 0 0 0 0 0 0 0\n", 1, "quaternion of norm 0, expected 1"),
-        (GOOD + GOOD, 2, "found stamp 1.0 s after 1.0 s, expected growing stamps"),
+        (GOOD + GOOD, 2, "found stamp 1.0 s after 1.0 s, expected increasing stamps"),
     ],
 )
 def test_malformed_tum_is_one_line_that_names_the_place(tmp_path, text, line, found) -> None:

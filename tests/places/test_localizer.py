@@ -67,7 +67,7 @@ def test_frames_from_aside_are_localised(localizer, aside):
         assert found.reason == ""
         assert found.overlap > 0.4
         assert found.rmse_m < 0.03
-        assert found.keyframe_id not in found.witness_ids
+        assert found.keyframe_id not in found.supporting_ids
         assert 0 <= found.keyframe_id < N_ROUND
 
 
@@ -79,7 +79,7 @@ def test_each_frame_is_asked_for_by_itself(localizer, turn, aside):
     afresh = [fresh.localize(frame) for frame in frames]
     for a, b, c in zip(first, again, afresh, strict=True):
         assert a.T_map_camera.tobytes() == b.T_map_camera.tobytes() == c.T_map_camera.tobytes()
-        assert a.witness_ids == b.witness_ids == c.witness_ids
+        assert a.supporting_ids == b.supporting_ids == c.supporting_ids
     assert len(localizer) == N_ROUND
 
 
@@ -130,16 +130,16 @@ def test_a_map_without_keyframes_knows_nothing(turn):
     assert found.reason == "the map has no keyframes"
 
 
-def test_a_place_that_is_twice_in_the_map_is_not_told(turn, aside):
+def test_a_place_that_is_twice_in_the_map_is_not_localised(turn, aside):
     frames, _, T_map_camera = turn
     beside = se3.pose(np.eye(3), [0.0, 0.0, 50.0])
     twice = hold([*frames, *frames], np.concatenate([T_map_camera, beside @ T_map_camera]))
     found = twice.localize(aside[0][0])
     assert not found.is_known
-    assert "places fit" in found.reason
+    assert "places match the image" in found.reason
 
 
-def test_a_double_known_by_other_keyframes_is_not_told(turn, aside):
+def test_a_double_known_by_other_keyframes_is_not_localised(turn, aside):
     """Of the second room only another part was seen than the one that the frame shows."""
     frames, _, T_map_camera = turn
     beside = se3.pose(np.eye(3), [0.0, 0.0, 50.0])

@@ -134,7 +134,7 @@ def test_a_guest_is_forgotten_and_follows_nothing(tour):
         assert view_id == len(recogniser) - 1 == len(frames)
         alone = recogniser.recognise_alone(view_id, N_ROUND)
         assert [match.view_id for match in alone] == [6]
-        assert 6 not in {m.view_id for m in recogniser.recognise_alone(view_id, 9, but=[6])}
+        assert 6 not in {m.view_id for m in recogniser.recognise_alone(view_id, 9, exclude=[6])}
         assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).inlier_ratio > 0.99
     assert len(recogniser) == len(frames)
     assert recogniser.nbytes == before

@@ -44,7 +44,7 @@ def test_the_same_scene_is_proposed_first(n_voted):
 
 
 def test_only_views_below_and_not_left_out_are_proposed(index):
-    found = index.propose(58, 40, 100, but=np.array([4, 6]))
+    found = index.propose(58, 40, 100, exclude=np.array([4, 6]))
     assert set(found.view_ids.tolist()) == set(range(0, 40, 2)) - {4, 6}
     assert (found.scores[[4, 6, 5]] == -1.0).all()
     assert len(index.propose(58, 0, 10).view_ids) == 0
@@ -60,7 +60,7 @@ def test_a_dropped_view_is_gone(index):
 
 
 def test_views_around_one_are_those_that_are_searched(index):
-    assert index.around(10, 2, 100) == [6, 8, 10, 12, 14]
-    assert index.around(0, 1, 100) == [0, 2]
-    assert index.around(10, 2, 11) == [6, 8, 10]
-    assert index.around(11, 1, 100) == [10, 12, 14]
+    assert index.neighbours(10, 2, 100) == [6, 8, 10, 12, 14]
+    assert index.neighbours(0, 1, 100) == [0, 2]
+    assert index.neighbours(10, 2, 11) == [6, 8, 10]
+    assert index.neighbours(11, 1, 100) == [10, 12, 14]

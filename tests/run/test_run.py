@@ -200,7 +200,7 @@ def test_stamps_must_grow():
     closer = LoopCloser.from_preset("indoor")
     closer.process(frame, np.eye(4))
     for stamp_s in (1.0, 0.5, np.nan):
-        with pytest.raises(ValueError, match="stamps must grow"):
+        with pytest.raises(ValueError, match="time stamps must increase"):
             closer.process(replace(frame, stamp_s=stamp_s), np.eye(4))
 
 
