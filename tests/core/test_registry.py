@@ -213,7 +213,9 @@ def test_missing_follows_imports_inside_the_plugins_own_package(
     (package / "reader.py").write_text("def read():\n    import cv9_of_no_one\n")
     (package / "by_name.py").write_text("from deep_stranger.reader import read\nclass X: pass\n")
     (package / "relative.py").write_text("from . import reader\nclass X: pass\n")
-    (package / "late.py").write_text("class X:\n    def f(self):\n        from . import reader\n")
+    (package / "late.py").write_text(
+        "class X(object):\n    def f(self):\n        from . import reader\n"
+    )
     info = tmp_path / "deep_stranger-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: deep-stranger\nVersion: 1.0\n")
