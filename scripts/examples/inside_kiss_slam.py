@@ -55,7 +55,7 @@ class DepthCloser:
         T_odom_camera = se3.inverse(T_LIDAR_CAMERA) @ T_odom_lidar @ T_LIDAR_CAMERA
         T_odom_camera[:3, :3] = se3.nearest_rotation(T_odom_camera[:3, :3])
         cloud = se3.transform(se3.inverse(T_LIDAR_CAMERA), points_lidar)
-        frame, T_camera_view = self._camera.look(float(query_id), cloud, T_odom_camera)
+        frame, T_camera_view = self._camera.observe(float(query_id), cloud, T_odom_camera)
         view_id = self._recogniser.add(frame, T_odom_camera @ T_camera_view)
         self._prepared.append(self._verifier.prepare(frame, points_camera(frame, PointParams())))
         self._T_lidar_view.append(T_LIDAR_CAMERA @ T_camera_view)
