@@ -1,62 +1,13 @@
 """Depth-only place recognition, loop closing and scene labels for any SLAM front-end."""
 
-from __future__ import annotations
-
-import importlib
 import logging
-from typing import TYPE_CHECKING, Any
+import os
 
-if TYPE_CHECKING:
-    from slam_bof.config import Config
-    from slam_bof.errors import SlamBofError
-    from slam_bof.minislam import MiniSlam
-    from slam_bof.recogniser import PlaceRecogniser
-    from slam_bof.slam import LoopCloser
-    from slam_bof.types import (
-        Bag,
-        DepthFrame,
-        Intrinsics,
-        Keyframe,
-        Loop,
-        Scene,
-        Step,
-        Trajectory,
-    )
+import lazy_loader
 
-__all__ = [
-    "Bag",
-    "Config",
-    "DepthFrame",
-    "Intrinsics",
-    "Keyframe",
-    "Loop",
-    "LoopCloser",
-    "MiniSlam",
-    "PlaceRecogniser",
-    "Scene",
-    "SlamBofError",
-    "Step",
-    "Trajectory",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-_HOMES = {
-    "Config": "config",
-    "LoopCloser": "slam",
-    "MiniSlam": "minislam",
-    "PlaceRecogniser": "recogniser",
-    "SlamBofError": "errors",
-}
+# Modules that README named before there were rooms: importable for one release, with a warning.
+__path__ = [*__path__, os.path.join(os.path.dirname(__file__), "deprecated")]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for: the command line starts without NumPy."""
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(importlib.import_module(f"{__name__}.{_HOMES.get(name, 'types')}"), name)
-
-
-def __dir__() -> list[str]:
-    """Return the public names, imported or not."""
-    return sorted({*globals(), *__all__})

@@ -11,8 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from web_server import Server, serving
 
-from slam_bof.synthetic import KINECT, Scene3D, make_room, sense
-from slam_bof.synthetic.furnisher import distance_to_boxes
+from slam_bof.synthetic import KINECT, Scene3D, distance_to_boxes, make_room, sense
 from slam_bof.synthetic.rooms import Room
 from slam_bof.synthetic.writer import write_sequence
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose

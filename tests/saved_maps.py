@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.store import MapStore, Session
 from slam_bof.types import (
     Bag,

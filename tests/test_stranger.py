@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from conftest import CAMERA, ROOT, box_room_depth_mm
 
-from slam_bof import se3, testing
+from slam_bof import testing
+from slam_bof.geometry import se3
 
 STRANGER = ROOT / "tests" / "stranger"
 FILES = ("pyproject.toml", "stranger.py")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.cluster.hierarchy import DisjointSet
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,

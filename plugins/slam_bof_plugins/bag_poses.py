@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.types import Array, Pose, Trajectory
 from slam_bof_plugins.bag_file import BagFile
 from slam_bof_plugins.dataset_files import poses_at

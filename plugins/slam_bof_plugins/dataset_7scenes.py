@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 

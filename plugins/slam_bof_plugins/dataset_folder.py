@@ -26,10 +26,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
-from slam_bof import trajectory
+from slam_bof.core import describe_error
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import trajectory
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
-from slam_bof.validation import describe_error
 from slam_bof_plugins.dataset_files import (
     check_stamps,
     poses_at,

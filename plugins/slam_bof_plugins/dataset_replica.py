@@ -18,8 +18,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame, Intrinsics, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,

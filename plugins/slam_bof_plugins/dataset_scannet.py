@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
 from slam_bof_plugins.dataset_files import register, scale_depth, sequence_name
 from slam_bof_plugins.sens_file import SensFile, is_sens, open_sens

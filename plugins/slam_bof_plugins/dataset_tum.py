@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof import trajectory
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import trajectory
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.bof import BofParams
-from slam_bof.places import PlaceParams, descriptors, layer_rows
+from slam_bof.bof import BofParams, PlaceParams, descriptors, layer_rows
 from slam_bof.types import DepthFrame
 
 __all__ = ["BofDescriptor", "LayerBofDescriptor", "LayerBofParams"]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.ndimage import gaussian_filter
 
-from slam_bof.points import PointParams, points_camera_f32
+from slam_bof.geometry import PointParams, points_camera_f32
 from slam_bof.types import DepthFrame, Params
 
 __all__ = ["FernDescriptor", "OccupancyDescriptor", "ThumbnailDescriptor"]

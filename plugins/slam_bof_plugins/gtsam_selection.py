@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.types import Array, Params, Pose
 
 __all__ = ["LOST_SIGMA", "Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]

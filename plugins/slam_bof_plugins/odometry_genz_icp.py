@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from slam_bof import se3
-from slam_bof.native import one_cpu, silenced
-from slam_bof.points import PointParams, points_camera
+from slam_bof.core import one_cpu, silenced
+from slam_bof.geometry import PointParams, points_camera, se3
 from slam_bof.types import Array, DepthFrame, Params, Pose
 
 with one_cpu(), silenced():

@@ -7,8 +7,7 @@ from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
 from pydantic import Field
 
-from slam_bof import se3
-from slam_bof.points import back_project
+from slam_bof.geometry import back_project, se3
 from slam_bof.types import DepthFrame, Params, Pose
 
 __all__ = ["KissIcpOdometry", "KissIcpParams"]

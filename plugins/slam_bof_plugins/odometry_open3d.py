@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof import se3
-from slam_bof.native import import_open3d
+from slam_bof.core import import_open3d
+from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame, Intrinsics, Params, Pose
 
 o3d = import_open3d()

@@ -9,9 +9,8 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError, PluginError
-from slam_bof.trajectory import read_kitti, read_tum
+from slam_bof.geometry import read_kitti, read_tum, se3
 from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
 
 __all__ = ["AXES", "RecordedOdometry", "RecordedParams"]

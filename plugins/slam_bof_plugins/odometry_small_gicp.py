@@ -6,8 +6,7 @@ import numpy as np
 import small_gicp
 from pydantic import Field
 
-from slam_bof import se3
-from slam_bof.points import PointParams, points_camera
+from slam_bof.geometry import PointParams, points_camera, se3
 from slam_bof.types import DepthFrame, Params, Pose
 
 __all__ = ["SmallGicpOdometry", "SmallGicpParams"]

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 
-from slam_bof import se3
-from slam_bof.judgement import JudgementParams, judge, reject
-from slam_bof.native import import_open3d
+from slam_bof.core import import_open3d
+from slam_bof.geometry import JudgementParams, judge, reject, se3
 from slam_bof.types import Array, DepthFrame, Pose, Verification
 
 o3d = import_open3d()

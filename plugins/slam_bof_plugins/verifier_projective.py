@@ -12,10 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from slam_bof.alignment import AlignmentParams, ViewAligner
-from slam_bof.judgement import JudgementParams, judge
+from slam_bof.geometry import AlignmentParams, JudgementParams, ViewAligner, judge, make_view
 from slam_bof.types import Array, DepthFrame, Verification
-from slam_bof.views import make_view
 
 __all__ = ["ProjectiveParams", "ProjectiveVerifier"]
 

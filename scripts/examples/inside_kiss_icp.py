@@ -19,7 +19,8 @@ from kiss_icp.datasets import dataset_factory
 from kiss_icp.kiss_icp import KissICP
 from kiss_icp.pipeline import OdometryPipeline
 
-from slam_bof import LoopCloser, evaluation, se3
+from slam_bof import LoopCloser, evaluation
+from slam_bof.geometry import se3
 from slam_bof.synthetic import Lidar, LidarParams, make_flat, make_tour
 from slam_bof.types import Trajectory
 

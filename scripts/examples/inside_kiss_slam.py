@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from inside_kiss_icp import T_LIDAR_CAMERA, SyntheticFlat
 
-from slam_bof import PlaceRecogniser, evaluation, registry, se3
-from slam_bof.clouds import CloudCamera
-from slam_bof.points import PointParams, points_camera
+from slam_bof import PlaceRecogniser, evaluation
+from slam_bof.core import registry
+from slam_bof.geometry import CloudCamera, PointParams, points_camera, se3
 from slam_bof.types import Array, Pose, Trajectory
 
 N_CLOSE = 2

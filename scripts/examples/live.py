@@ -18,9 +18,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from slam_bof import LoopCloser, registry
+from slam_bof import LoopCloser
+from slam_bof.core import registry
+from slam_bof.datasets import FramePoseSynchroniser
 from slam_bof.errors import SlamBofError
-from slam_bof.live import FramePoseSynchroniser
 
 MAX_LATE = 15
 """Poses that are held back and shuffled, half a second of them."""

@@ -8,17 +8,17 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
-from slam_bof.cli.benching import bench
-from slam_bof.cli.evaluating import evaluate
-from slam_bof.cli.fetching import download, record
-from slam_bof.cli.localizing import localize
-from slam_bof.cli.map_tools import app as map_tools
-from slam_bof.cli.maps import export, report
-from slam_bof.cli.querying import query
-from slam_bof.cli.running import demo, run
-from slam_bof.cli.system import config, doctor, plugins, version
+from slam_bof.cli.bench import bench
+from slam_bof.cli.doctor import config, doctor, plugins, version
+from slam_bof.cli.download import download, record
+from slam_bof.cli.evaluate_places import evaluate
+from slam_bof.cli.export import export, report
+from slam_bof.cli.localize import localize
+from slam_bof.cli.map import app as map_tools
+from slam_bof.cli.query import query
+from slam_bof.cli.run import demo, run
 from slam_bof.cli.tables import ListCommand
-from slam_bof.cli.training import train
+from slam_bof.cli.train import train
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.synthetic.flat import Flat, make_flat, make_tour
 from slam_bof.synthetic.tour import FRAME_RATE_HZ
 from slam_bof.synthetic.writer import Progress, write_scene

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.types import Array
 
 __all__ = ["Play", "darkened", "drifted", "in_pieces", "uncut", "without"]

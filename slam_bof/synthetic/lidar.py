@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from slam_bof.native import import_open3d
+from slam_bof.core import import_open3d
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.types import Array, Params, Pose
 

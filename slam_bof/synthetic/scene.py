@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.native import import_open3d
+from slam_bof.core import import_open3d
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.types import Intrinsics, Pose
 

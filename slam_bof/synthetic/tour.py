@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter1d
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.types import Array, Pose
 
 __all__ = ["FRAME_RATE_HZ", "TURN_RATE", "Waypoint", "camera_poses", "spin", "walk"]

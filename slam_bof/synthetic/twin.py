@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.synthetic import furniture as f
 from slam_bof.synthetic.furnisher import Furnisher
 from slam_bof.synthetic.furniture import Maker

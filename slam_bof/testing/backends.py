@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.ports import Backend
 from slam_bof.testing.scenery import expect, expect_rigid
 from slam_bof.types import Array, Bag, Keyframe, Loop

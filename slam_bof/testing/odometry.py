@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.ports import Odometry
 from slam_bof.testing.scenery import blind, example_frames, expect, expect_rigid
 from slam_bof.types import Array, DepthFrame

@@ -6,9 +6,8 @@ import functools
 
 import numpy as np
 
-from slam_bof import se3
-from slam_bof.synthetic import Scene3D, make_room, sense, spin
-from slam_bof.synthetic.furnisher import distance_to_boxes
+from slam_bof.geometry import se3
+from slam_bof.synthetic import Scene3D, distance_to_boxes, make_room, sense, spin
 from slam_bof.types import INVALID_DEPTH_MM, Array, DepthFrame, Pose
 
 __all__ = ["blind", "example_frames", "expect", "expect_rigid", "pair_of_views"]

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from slam_bof import se3
-from slam_bof.points import PointParams, points_camera
+from slam_bof.geometry import PointParams, points_camera, se3
 from slam_bof.ports import Verifier
 from slam_bof.testing.scenery import blind, expect, expect_rigid, pair_of_views
 from slam_bof.types import Array, DepthFrame, Pose, Verification

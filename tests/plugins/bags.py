@@ -13,13 +13,12 @@ import pytest
 from datasets import HEIGHT, WIDTH, ramp
 from numpy.typing import NDArray
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 
 pytest.importorskip("rosbags", reason="needs pip install slam-bof[bag]")
 
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 STORES = {1: get_typestore(Stores.ROS1_NOETIC), 2: get_typestore(Stores.ROS2_HUMBLE)}

@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from slam_bof import ports, registry, se3
+from slam_bof import ports
+from slam_bof.core import registry
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.types import Trajectory
 
 WIDTH, HEIGHT = 32, 24

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.types import Bag, Keyframe, Loop
 from slam_bof_plugins.backend_gtsam import GtsamBackend, GtsamParams
 

@@ -13,7 +13,7 @@ from bags import INFO, TOPIC, png, time_ns, writing
 from datasets import HEIGHT, WIDTH, ramp
 from numpy.typing import NDArray
 
-from slam_bof import registry
+from slam_bof.core import registry
 from slam_bof.errors import DatasetError
 from slam_bof_plugins.bag_images import COMPRESSED, decode_depth
 

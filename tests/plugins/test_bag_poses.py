@@ -12,10 +12,10 @@ from datasets import check_dataset, pose, ramp, refusal
 from numpy.typing import NDArray
 from typer.testing import CliRunner
 
-from slam_bof import registry, se3
 from slam_bof.cli import app
+from slam_bof.core import registry
 from slam_bof.errors import DatasetError
-from slam_bof.trajectory import read_tum
+from slam_bof.geometry import read_tum, se3
 
 T_BASE_CAMERA = se3.exp(np.array([0.0, 1.2, 0.0, 0.1, -0.2, 0.3]))
 

@@ -8,7 +8,7 @@ import numpy as np
 from bags import INFO, TOPIC, png, time_ns, writing
 from datasets import ramp, refusal
 
-from slam_bof import registry
+from slam_bof.core import registry
 
 
 def test_raw_images_win_over_the_same_compressed(tmp_path: Path) -> None:

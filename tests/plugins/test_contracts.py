@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from conftest import CAMERA
 
-from slam_bof import registry, testing
-from slam_bof.trajectory import write_tum
+from slam_bof import testing
+from slam_bof.core import registry
+from slam_bof.geometry import write_tum
 from slam_bof.types import DepthFrame, Trajectory
 
 ODOMETRY = {

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from slam_bof import ports, se3
+from slam_bof import ports
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof_plugins.dataset_7scenes import SevenScenes
 
 WIDTH, HEIGHT, N_FRAMES = 64, 48, 4

@@ -9,7 +9,7 @@ import pytest
 from bags import FORMATS, INFO, TOPIC, time_ns, write, writing
 from datasets import HEIGHT, WIDTH, check_dataset, ramp, refusal
 
-from slam_bof import registry
+from slam_bof.core import registry
 from slam_bof.errors import DatasetError
 
 

@@ -8,9 +8,9 @@ import pytest
 from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal, trajectory, write_png
 from numpy.typing import NDArray
 
-from slam_bof import registry
+from slam_bof.core import registry
 from slam_bof.errors import DatasetError
-from slam_bof.trajectory import write_tum
+from slam_bof.geometry import write_tum
 
 CAMERA = {"width": WIDTH, "height": HEIGHT, "fx": 30.0, "fy": 31.0, "cx": 15.5, "cy": 11.5}
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal, write_png
 
-from slam_bof import registry
+from slam_bof.core import registry
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal
 
-from slam_bof import registry
+from slam_bof.core import registry
 from slam_bof.errors import DatasetError
 
 N_FRAMES = 4

@@ -8,8 +8,9 @@ from datasets import check_dataset, refusal, write_png
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from slam_bof import ports, registry
+from slam_bof import ports
 from slam_bof.cli import app
+from slam_bof.core import registry
 from slam_bof_plugins.dataset_sunrgbd import SCENES
 
 TRAIN = ["kv1/NYUdata/NYU0001", "kv2/kinect2data/000065_resize", "xtion/sun3ddata/hall/0001"]

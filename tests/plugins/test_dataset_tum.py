@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal, trajectory, write_png
 
-from slam_bof import registry
-from slam_bof.trajectory import write_tum
+from slam_bof.core import registry
+from slam_bof.geometry import write_tum
 
 STAMPS = ["1305031102.160407", "1305031102.194330", "1305031102.226738", "1305031102.262886"]
 TIMES = [float(stamp) for stamp in STAMPS]

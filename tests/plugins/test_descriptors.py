@@ -3,8 +3,9 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
-from slam_bof import registry, se3
-from slam_bof.places import PlaceParams, descriptors
+from slam_bof.bof import PlaceParams, descriptors
+from slam_bof.core import registry
+from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame
 
 FRAME = DepthFrame(0.0, box_room_depth_mm(CAMERA, np.eye(4)), CAMERA)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.synthetic import KINECT, spin
 from slam_bof.types import DepthFrame
 from slam_bof_plugins.odometry_kiss_icp import KissIcpOdometry

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from conftest import CAMERA
 
-from slam_bof import registry, se3
+from slam_bof.core import registry
 from slam_bof.errors import ConfigError, DatasetError
-from slam_bof.trajectory import write_kitti, write_tum
+from slam_bof.geometry import se3, write_kitti, write_tum
 from slam_bof.types import DepthFrame, Trajectory
 
 DEPTH = np.full((CAMERA.height, CAMERA.width), 1000, np.uint16)

@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 from verifiers import verify
 
-from slam_bof import se3
-from slam_bof.points import PointParams, points_camera
+from slam_bof.geometry import PointParams, points_camera, se3
 from slam_bof.synthetic import spin
 from slam_bof.types import DepthFrame, Intrinsics
 from slam_bof_plugins.verifier_open3d import Open3dVerifier

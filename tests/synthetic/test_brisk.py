@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.synthetic import Scene3D, make_brisk_tour, make_flat
 from slam_bof.synthetic.brisk import find_blackouts
 from slam_bof.synthetic.tour import FRAME_RATE_HZ

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.synthetic import Scene3D, make_corridor, make_corridor_tour, write_corridor
 from slam_bof.types import Intrinsics
 

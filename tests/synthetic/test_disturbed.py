@@ -1,9 +1,8 @@
 import numpy as np
 import pytest
 
-from slam_bof import se3
-from slam_bof.synthetic import camera_poses
-from slam_bof.synthetic.disturbed import darkened, drifted, in_pieces, uncut, without
+from slam_bof.geometry import se3
+from slam_bof.synthetic import camera_poses, darkened, drifted, in_pieces, uncut, without
 
 STAMPS = np.arange(300) / 30.0
 UP = np.array([0.0, 0.0, 1.0])

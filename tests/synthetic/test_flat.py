@@ -2,8 +2,8 @@ import cv2
 import numpy as np
 import pytest
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
 from slam_bof.synthetic import Scene3D, make_flat, make_tour, spin, walk, write_flat
 from slam_bof.synthetic.tour import Waypoint
 from slam_bof.types import INVALID_DEPTH_MM, Intrinsics

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from slam_bof.synthetic import ROOM_KINDS, furniture, make_room, training_views
-from slam_bof.synthetic.furnisher import Furnisher, distance_to_boxes
+from slam_bof.synthetic import ROOM_KINDS, distance_to_boxes, furniture, make_room, training_views
+from slam_bof.synthetic.furnisher import Furnisher
 from slam_bof.synthetic.walls import Opening
 from slam_bof.types import INVALID_DEPTH_MM
 

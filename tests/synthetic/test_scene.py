@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
-from slam_bof import se3
+from slam_bof.geometry import se3
 from slam_bof.synthetic import Scene3D, camera_poses
 from slam_bof.synthetic.meshes import box
 

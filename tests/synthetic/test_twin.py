@@ -1,10 +1,10 @@
 import numpy as np
 import pytest
 
-from slam_bof import se3
 from slam_bof.errors import DatasetError
-from slam_bof.synthetic import Scene3D, camera_poses
-from slam_bof.synthetic.twin import gravity_aligned, make_twin_room, read_poses, write_twin
+from slam_bof.geometry import se3
+from slam_bof.synthetic import Scene3D, camera_poses, write_twin
+from slam_bof.synthetic.twin import gravity_aligned, make_twin_room, read_poses
 from slam_bof.types import Intrinsics
 
 SMALL = Intrinsics(64, 48, 58.5, 58.5, 32.0, 24.0)

@@ -1,0 +1,5 @@
+"""BOF: layers, contours, descriptors, vocabulary, bags of words and their index."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,87 @@
+"""From one depth frame to one bag of words: the whole chain of the paper's section 3."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.bof.contours import ContourParams, find_contours
+from slam_bof.bof.descriptor import BofParams, describe
+from slam_bof.bof.layers import LayerParams, layer_images
+from slam_bof.bof.vocabulary import TfIdf, Vocabulary
+from slam_bof.core import scratch_image
+from slam_bof.geometry import PointParams, points_camera_f32
+from slam_bof.types import Array, Bag, Contours, DepthFrame, Params
+
+__all__ = ["PlaceDescriber", "PlaceParams", "descriptors", "layer_rows"]
+
+
+class PlaceParams(Params):
+    """The parameters of each step; a model holds them, as its words mean nothing without."""
+
+    points: PointParams = PointParams()
+    layers: LayerParams = LayerParams()
+    contours: ContourParams = ContourParams()
+    bof: BofParams = BofParams()
+
+
+def descriptors(
+    frame: DepthFrame, params: PlaceParams, *, gravity_camera: Array | None = None
+) -> NDArray[np.float32]:
+    """Return the BOF descriptors of a frame, (C, n_values), C = 0 where nothing is seen.
+
+    ``gravity_camera`` (3,) is the direction down in the camera frame, which layers along gravity
+    need; others ignore it.
+    """
+    return describe(_contours(frame, params, gravity_camera), params.bof)
+
+
+def layer_rows(
+    frame: DepthFrame, params: PlaceParams, *, gravity_camera: Array | None = None
+) -> NDArray[np.float32]:
+    """Return the BOF of each layer's largest contour, side by side, (1, n_images * n_values).
+
+    Zero where a layer has none. This is what the paper would give a neural network (section 5);
+    for such rows to be comparable, ``bof.sampling`` should be ``angle``.
+    """
+    contours = _contours(frame, params, gravity_camera)
+    found = describe(contours, params.bof)
+    rows = np.zeros((params.layers.n_images, params.bof.n_values), np.float32)
+    areas = np.array([cv2.contourArea(points) for points in contours.points_px])
+    for i in np.argsort(areas, kind="stable").tolist():
+        rows[contours.layer[i]] = found[i]
+    return rows.reshape(1, -1)
+
+
+def _contours(frame: DepthFrame, params: PlaceParams, gravity_camera: Array | None) -> Contours:
+    points = points_camera_f32(frame, params.points)
+    margin_px = params.contours.margin_px
+    side = params.layers.resolution_px + 2 * margin_px
+    images = layer_images(
+        points,
+        params.layers,
+        gravity_camera=gravity_camera,
+        margin_px=margin_px,
+        out=scratch_image("layers", (params.layers.n_images, side, side)),
+    )
+    return find_contours(images, params.contours, margin_px=margin_px)
+
+
+class PlaceDescriber:
+    """Describes depth frames by a trained vocabulary."""
+
+    def __init__(self, params: PlaceParams, vocabulary: Vocabulary, tf_idf: TfIdf) -> None:
+        self.params = params
+        self.vocabulary = vocabulary
+        self.tf_idf = tf_idf
+
+    def describe(self, frame: DepthFrame, *, gravity_camera: Array | None = None) -> Bag:
+        """Return the frame's bag of words, empty where the frame shows nothing."""
+        return self.tf_idf.bag(self.words(frame, gravity_camera=gravity_camera))
+
+    def words(self, frame: DepthFrame, *, gravity_camera: Array | None = None) -> NDArray[np.int32]:
+        """Return the visual words of the frame's contours, (C,)."""
+        return self.vocabulary.lookup(
+            descriptors(frame, self.params, gravity_camera=gravity_camera)
+        )

@@ -1,0 +1,102 @@
+"""Commands that write what a run has left: ``report`` and ``export``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from slam_bof.cli.options import JSON, MAP
+from slam_bof.cli.query import map_file
+from slam_bof.errors import ConfigError
+
+__all__ = ["export", "report"]
+
+
+def report(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="The page; by default the run's own.")
+    ] = None,
+    as_json: JSON = False,
+) -> None:
+    """Write the page of a run again, from the files that it left."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.run import read_run
+    from slam_bof.visualization import write_report
+
+    page = out or run / "report.html"
+    write_report(page, read_run(run))
+    if as_json:
+        print_json({"report": str(page)})
+    else:
+        typer.echo(f"Report: {page}")
+
+
+def export(
+    map_: MAP,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write.")],
+    format_: Annotated[
+        Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"],
+        typer.Option(
+            "--format",
+            help="Keyframe poses (tum, kitti), these with labels (csv), the pose graph (g2o), a "
+            "point cloud coloured by height (ply), a plan for ROS map_server (occupancy: YAML, "
+            "and a PNG beside it).",
+        ),
+    ] = "tum",
+    session: Annotated[
+        int | None, typer.Option(min=0, help="Only this session's; by default all.")
+    ] = None,
+    all_frames: Annotated[
+        bool,
+        typer.Option("--all-frames", help="Of tum, kitti: every frame of the session."),
+    ] = False,
+    voxel: Annotated[
+        float, typer.Option(min=0.001, metavar="M", help="Of ply: one point in each voxel.")
+    ] = 0.02,
+    resolution: Annotated[
+        float, typer.Option(min=0.005, metavar="M", help="Of occupancy: side of a cell.")
+    ] = 0.05,
+    min_height: Annotated[
+        float, typer.Option(metavar="M", help="Of occupancy: what is lower is floor.")
+    ] = 0.1,
+    max_height: Annotated[
+        float, typer.Option(metavar="M", help="Of occupancy: what is higher is passed under.")
+    ] = 2.0,
+    as_json: JSON = False,
+) -> None:
+    """Write a map for other programs, all at the poses that it has in the map."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.maps import OccupancyParams, export_map
+    from slam_bof.store import MapStore
+
+    if all_frames and format_ not in ("tum", "kitti"):
+        raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
+    if session is not None and format_ == "g2o":
+        raise ConfigError("--session: found with g2o, expected without: a graph is of all sessions")
+    if min_height >= max_height:
+        raise ConfigError(f"--min-height: found {min_height}, expected below {max_height}")
+    plan = OccupancyParams(
+        resolution_m=resolution, min_height_m=min_height, max_height_m=max_height
+    )
+    if format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):
+        out = out.with_name(f"{out.name}.yaml")
+    with MapStore.open(map_file(map_)) as store:
+        n = export_map(
+            store,
+            out,
+            format_,
+            session=session,
+            all_frames=all_frames,
+            voxel_size_m=voxel,
+            occupancy=plan,
+        )
+        n_keyframes = sum(session in (None, k.session) for k in store.keyframes())
+    what = "points" if format_ == "ply" else "frames" if all_frames else "keyframes"
+    if as_json:
+        answer = {"file": str(out), "format": format_, "n_keyframes": n_keyframes, f"n_{what}": n}
+        print_json(answer)
+    else:
+        typer.echo(f"{n} {what}: {out}")

@@ -1,0 +1,202 @@
+"""Commands on saved maps: ``slam-bof map info``, ``check``, ``prune``, ``recover`` ..."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from slam_bof.cli.options import JSON, MAP
+from slam_bof.cli.query import map_file
+from slam_bof.errors import ConfigError, MapError
+
+__all__ = ["app"]
+
+app = typer.Typer(no_args_is_help=True, help="Look after saved maps.")
+
+MAX_LINES = 20
+NEW = Annotated[Path, typer.Option("--out", "-o", help="The new map to make.")]
+
+
+@app.command()
+def info(map_: MAP, as_json: JSON = False) -> None:
+    """Say what a map is of, and how large it is."""
+    from dataclasses import asdict
+
+    from slam_bof.cli.console import print_json, print_table
+    from slam_bof.store import MapStore, parts_of
+
+    path = map_file(map_)
+    with MapStore.open(path) as store:
+        keyframes, loops, regions = store.keyframes(), store.loops(), store.regions()
+        counts = {k: sum(f.session == k for f in keyframes) for k in range(len(store.sessions()))}
+        sessions = [
+            {
+                "session": session.id,
+                "dataset": session.dataset,
+                "sequence": session.sequence,
+                "n_frames": len(store.frames(session.id)),
+                "n_keyframes": counts[session.id],
+                "is_finished": session.is_finished,
+            }
+            for session in store.sessions()
+        ]
+        size = path.stat().st_size
+        camera = store.intrinsics()
+        facts = {
+            "file": str(path),
+            "n_keyframes": len(keyframes),
+            "n_loops": sum(loop.kind == "loop" for loop in loops),
+            "n_covisibility_edges": sum(loop.kind != "loop" for loop in loops),
+            "n_parts": len(set(parts_of(store).tolist())),
+            "n_rooms": len(regions),
+            "bytes": size,
+            "bytes_per_keyframe": round(size / max(len(keyframes), 1)),
+            "camera": None if camera is None else asdict(camera),
+            "model": store.parameters().get("model"),
+        }
+    if as_json:
+        print_json({**facts, "sessions": sessions})
+        return
+    print_table(("", "value"), [(key, _text(value)) for key, value in facts.items()])
+    if sessions:
+        rows = [list(session.values()) for session in sessions]
+        print_table(list(sessions[0]), rows, title="Sessions")
+
+
+@app.command()
+def check(map_: MAP, as_json: JSON = False) -> None:
+    """Check that a map is whole; name what is damaged, and exit with 1 if anything is."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.store import check_map
+
+    path = map_file(map_)
+    found = check_map(path)
+    if as_json:
+        print_json(
+            {
+                "file": str(path),
+                "is_whole": not found,
+                "damage": [{**damage._asdict(), "text": str(damage)} for damage in found],
+            }
+        )
+    else:
+        for damage in found[:MAX_LINES]:
+            typer.echo(str(damage))
+        if len(found) > MAX_LINES:
+            typer.echo(f"and {len(found) - MAX_LINES} more; --json has them all")
+    if found:
+        raise MapError(
+            f"{path}: found damage in {len(found)} place{'s' if len(found) > 1 else ''}; "
+            "slam-bof map recover saves what is whole into a new map"
+        )
+    if not as_json:
+        typer.echo(f"{path}: whole")
+
+
+@app.command()
+def prune(
+    map_: MAP,
+    distance: Annotated[
+        float, typer.Option(min=0.0, metavar="M", help="Drop a keyframe nearer to an older one")
+    ] = 0.2,
+    angle: Annotated[
+        float, typer.Option(min=0.0, metavar="RAD", help="and turned from it by less.")
+    ] = 0.2,
+    session: Annotated[
+        int | None, typer.Option(min=0, help="Drop the keyframes of this session instead.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say how many.")] = False,
+    as_json: JSON = False,
+) -> None:
+    """Drop keyframes that stand where an older one does, or a whole session.
+
+    The others stay where they are in the map.
+    """
+    from slam_bof.cli.console import print_json
+    from slam_bof.store import MapStore, prune_map, redundant
+
+    def choose(store: MapStore) -> list[int]:
+        if session is None:
+            return redundant(store, distance_m=distance, angle_rad=angle)
+        if session >= (n := len(store.sessions())):
+            raise ConfigError(f"--session: found {session}, expected below {n}")
+        return [k.id for k in store.keyframes() if k.session == session]
+
+    path = map_file(map_)
+    with MapStore.open(path) as store:
+        n_before, n_chosen = len(store.keyframes()), len(choose(store))
+    n_dropped = n_chosen if dry_run else prune_map(path, choose)
+    answer = {
+        "file": str(path),
+        "n_keyframes": n_before - n_dropped,
+        "n_dropped": n_dropped,
+        "bytes": path.stat().st_size,
+    }
+    if as_json:
+        print_json(answer)
+    else:
+        what = "to drop" if dry_run else "dropped"
+        typer.echo(f"{path}: {n_dropped} of {n_before} keyframes {what}")
+
+
+@app.command()
+def recover(map_: MAP, out: NEW, as_json: JSON = False) -> None:
+    """Save what is whole of a damaged map into a new one."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.store import recover_map
+
+    found = recover_map(map_file(map_), out)
+    if as_json:
+        print_json({"file": str(out), **found._asdict()})
+    else:
+        typer.echo(f"{out}: {found.n_keyframes} keyframes, {found.n_lost} lost")
+
+
+@app.command()
+def merge(
+    maps: Annotated[
+        list[Path], typer.Argument(metavar="MAP...", help="Two or more maps, or folders of runs.")
+    ],
+    out: NEW,
+    as_json: JSON = False,
+) -> None:
+    """Join maps into a new one, by what is recognised of each in those before."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.maps import merge_maps
+
+    if len(maps) < 2:
+        raise ConfigError(f"found {len(maps)} map, expected two or more to merge")
+    found = merge_maps([map_file(path) for path in maps], out)
+    if as_json:
+        print_json({"file": str(out), **found._asdict()})
+        return
+    typer.echo(
+        f"{out}: {found.n_sessions} sessions, {found.n_keyframes} keyframes, "
+        f"{found.n_loops_across} loops across, {found.n_parts} "
+        f"part{'s' if found.n_parts > 1 else ''}"
+    )
+
+
+@app.command()
+def vacuum(map_: MAP, as_json: JSON = False) -> None:
+    """Give the room of what was deleted back to the disk."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.store import MapStore
+
+    path = map_file(map_)
+    before = path.stat().st_size if path.is_file() else 0
+    with MapStore.open(path, read_only=False) as store:
+        store.vacuum()
+    after = path.stat().st_size
+    if as_json:
+        print_json({"file": str(path), "bytes_before": before, "bytes": after})
+    else:
+        typer.echo(f"{path}: {before} -> {after} bytes")
+
+
+def _text(value: object) -> object:
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {number:g}" for key, number in value.items())
+    return value

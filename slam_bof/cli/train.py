@@ -1,0 +1,178 @@
+"""``slam-bof train``: labelled frames to a model file."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from slam_bof.cli.options import JSON, QUIET
+from slam_bof.errors import ConfigError
+
+if TYPE_CHECKING:
+    from slam_bof.evaluation import TrainedScenes
+
+__all__ = ["train"]
+
+Classifier = Literal["svm-linear", "svm-rbf", "random-forest", "naive-bayes", "knn", "mlp"]
+
+
+def train(
+    out: Annotated[Path, typer.Option("--out", "-o", help="The model file to write.")],
+    label: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=PATH",
+            help="A class and where it is seen: a sequence, a folder of sequences (seq-XX), or a "
+            "folder of depth images with intrinsics.json. Several times, also of one class.",
+        ),
+    ] = None,
+    csv: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV with rows path,label: sequences or depth images, relative to the file."
+        ),
+    ] = None,
+    descriptor: Annotated[
+        str | None,
+        typer.Option(
+            metavar="levelled|bof",
+            help="What labels go by: levelled views, the default, or bof: bags of words, the "
+            "paper's way, and the default with --classifier or --grid-search.",
+        ),
+    ] = None,
+    layers: Annotated[
+        int | None, typer.Option(min=1, help="Into which a frame's cloud is cut; by default 20.")
+    ] = None,
+    n_words: Annotated[int, typer.Option("--words", min=2, help="Of the vocabulary.")] = 1024,
+    classifier: Annotated[
+        Classifier | None,
+        typer.Option(
+            help="Of bags of words; by default svm-linear. mlp is a neural network on bags; one on "
+            "the BOF of each layer is compared by evaluate scenes --methods bof-layers:mlp."
+        ),
+    ] = None,
+    grid_search: Annotated[
+        bool,
+        typer.Option(
+            "--grid-search",
+            help="Choose a linear or Gaussian support vector machine on bags of words, and its "
+            "C and gamma, by cross-validation.",
+        ),
+    ] = False,
+    every: Annotated[int, typer.Option(min=1, help="Take each so many frames.")] = 1,
+    check: Annotated[
+        bool,
+        typer.Option(
+            "--check/--no-check",
+            help="First train on 60 % of each sequence and test on its end, after a gap.",
+        ),
+    ] = True,
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
+    as_json: JSON = False,
+    quiet: QUIET = False,
+) -> None:
+    """Train a model on labelled depth frames: vocabulary, idf and scene classifier in one file.
+
+    The figures printed are of frames held out, by a model trained like it on the others.
+    """
+    if descriptor not in (None, "levelled", "bof"):
+        raise ConfigError(
+            f"--descriptor: found {descriptor!r}, expected levelled or bof, which a model file can "
+            "hold; evaluate scenes --methods compares others, such as bof-layers:mlp"
+        )
+    of_bags = grid_search or classifier is not None
+    if descriptor == "levelled" and of_bags:
+        given = "--grid-search" if grid_search else "--classifier"
+        raise ConfigError(f"--descriptor levelled: found with {given}, expected bof")
+    if grid_search and classifier is not None:
+        raise ConfigError(
+            f"--grid-search: found with --classifier {classifier}, expected one of the two"
+        )
+    if not label and csv is None:
+        raise ConfigError("found neither --label nor --csv, expected --label NAME=PATH")
+    from slam_bof.bof import LayerParams, PlaceParams
+    from slam_bof.cli.console import Bars
+    from slam_bof.datasets import frames_of, open_labelled, parse_label, read_label_file
+    from slam_bof.evaluation import train_scenes
+    from slam_bof.scenes import model as models
+
+    _check_out(out)
+    sequences = [sequence for text in label or [] for sequence in open_labelled(*parse_label(text))]
+    if csv is not None:
+        sequences += read_label_file(csv)
+    params = PlaceParams()
+    if layers is not None:
+        params = PlaceParams(layers=LayerParams(n_layers=layers))
+    names = sorted({f"{s.dataset.sequence} ({s.label})" for s in sequences})
+    with Bars(quiet=quiet) as bars:
+        trained = train_scenes(
+            frames_of(sequences, every=every),
+            params,
+            trained_on=", ".join(names),
+            n_words=n_words,
+            levelled=descriptor != "bof" and not of_bags,
+            classifier=classifier,
+            grid_search=grid_search,
+            check=check,
+            seed=seed,
+            on_progress=bars.show,
+        )
+    models.save(trained.model, out)
+    _show(trained, out, as_json=as_json)
+
+
+def _check_out(out: Path) -> None:
+    """Refuse, before the work, a place that cannot be written."""
+    if out.is_dir():
+        raise ConfigError(f"{out}: found a folder, expected the name of a file to write")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.with_name(out.name + ".part").touch()
+    out.with_name(out.name + ".part").unlink()
+
+
+def _show(trained: TrainedScenes, out: Path, *, as_json: bool) -> None:
+    from slam_bof.cli.console import print_json, print_table
+
+    scores, found = trained.scores, trained.found
+    figures: dict[str, Any] = {
+        "model": str(out),
+        "content_sha256": trained.model.content_hash,
+        "n_bytes": out.stat().st_size,
+        "trained_on": trained.model.trained_on,
+        "grid_search": asdict(found) if found else None,
+        "n_checked": trained.n_checked,
+    }
+    if scores is not None:
+        figures |= {
+            "classes": list(scores.classes),
+            "accuracy": scores.accuracy,
+            "mean_class_accuracy": scores.mean_class_accuracy,
+            "calibration_error": scores.calibration_error,
+            "by_class": [asdict(of_class) for of_class in scores.by_class],
+            "confusion": scores.confusion.tolist(),
+        }
+    if as_json:
+        print_json(figures)
+        return
+    if found is not None:
+        gamma = "" if found.gamma == "scale" else f", gamma {found.gamma:g}"
+        typer.echo(
+            f"Grid search: {found.name}, C {found.C:g}{gamma}; "
+            f"{found.accuracy:.3f} right in cross-validation."
+        )
+    if scores is not None:
+        print_table(
+            ("class", "tested", "precision", "recall", "F1"),
+            [(c.label, c.n_frames, c.precision, c.recall, c.f1) for c in scores.by_class],
+            title=f"Held out: the end of each sequence, {trained.n_checked} frames",
+        )
+        typer.echo(
+            f"Accuracy {scores.accuracy:.3f}, mean of classes {scores.mean_class_accuracy:.3f}, "
+            f"expected calibration error {scores.calibration_error:.3f}."
+        )
+    typer.echo(
+        f"Model: {out}, {1e-6 * out.stat().st_size:.2f} MB, hash {trained.model.content_hash[:12]}"
+    )

@@ -1,0 +1,5 @@
+"""Foundations: plug-in registry, validation, timing, native libraries, arrays."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,23 @@
+from . import registry as registry
+from .arrays import (
+    Stack as Stack,
+    scratch_image as scratch_image,
+)
+from .native_libraries import (
+    import_open3d as import_open3d,
+    one_blas_thread as one_blas_thread,
+    one_cpu as one_cpu,
+    silenced as silenced,
+)
+from .registry import (
+    open_dataset as open_dataset,
+)
+from .timing import (
+    StageClock as StageClock,
+    Usage as Usage,
+    peak_rss_mb as peak_rss_mb,
+)
+from .validation import (
+    describe_error as describe_error,
+    suggest as suggest,
+)

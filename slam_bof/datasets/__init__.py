@@ -1,0 +1,5 @@
+"""Data sets: depth images, labelled frames, recording, download, synchronisation."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,38 @@
+from . import download as download
+from .depth_images import (
+    is_image as is_image,
+    read_depth_image as read_depth_image,
+)
+from .download import (
+    Downloaded as Downloaded,
+)
+from .download_catalogue import (
+    CATALOGUE as CATALOGUE,
+    find_archives as find_archives,
+)
+from .labelled_frames import (
+    LabelledFrame as LabelledFrame,
+    LabelledSequence as LabelledSequence,
+    frames_of as frames_of,
+    open_labelled as open_labelled,
+    parse_label as parse_label,
+    read_label_file as read_label_file,
+    read_split as read_split,
+    sequence_names as sequence_names,
+)
+from .realsense import (
+    RealSense as RealSense,
+)
+from .recording import (
+    CameraFrame as CameraFrame,
+    FolderWriter as FolderWriter,
+    RecordResult as RecordResult,
+    record as record,
+)
+from .sequence_slice import (
+    Excerpt as Excerpt,
+)
+from .synchroniser import (
+    FramePoseSynchroniser as FramePoseSynchroniser,
+    SynchroniserParams as SynchroniserParams,
+)

@@ -1,0 +1,105 @@
+"""Download data sets from their official places and unpack them, once."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from slam_bof.datasets.download_archive import BadArchive, unpack
+from slam_bof.datasets.download_catalogue import Archive, find_archives
+from slam_bof.datasets.download_http import fetch
+from slam_bof.errors import DatasetError
+
+__all__ = ["Downloaded", "OnProgress", "download"]
+
+OnProgress = Callable[[str, int, int], None]
+"""Called with what is being done to which file, and bytes done and in all (0 if unknown)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Downloaded:
+    """A folder that is there now, and whether it was before."""
+
+    folder: Path
+    was_there: bool
+
+
+def download(
+    collection: str,
+    part: str | None,
+    out: Path,
+    *,
+    base_url: str | None = None,
+    keep_archive: bool = False,
+    on_progress: OnProgress = lambda what, done, total: None,
+) -> list[Downloaded]:
+    """Download a part of a data set to ``out/COLLECTION/``, unless its folder is there already.
+
+    An archive that is there is not downloaded again, a download that was cut goes on, and a folder
+    appears only when all of it is unpacked.
+
+    Parameters
+    ----------
+    collection, part
+        As in the catalogue: ``7scenes`` and ``chess``, ``tum`` and ``fr1/desk``, ``sunrgbd``.
+    out
+        Folder for data sets.
+    base_url
+        Folder of a mirror that has the archives, in place of the official one.
+    keep_archive
+        Keep the archives beside what they held.
+    on_progress
+        Told of what is being done.
+
+    Returns
+    -------
+    list of Downloaded
+        The folders, in the order of the catalogue.
+
+    Raises
+    ------
+    DatasetError
+        If there is no such part, or downloading or unpacking fails.
+    """
+    return [
+        _download(archive, out / collection, base_url, keep_archive, on_progress)
+        for archive in find_archives(collection, part)
+    ]
+
+
+def _download(
+    archive: Archive,
+    out: Path,
+    base_url: str | None,
+    keep_archive: bool,
+    on_progress: OnProgress,
+) -> Downloaded:
+    folder = out / archive.folder
+    if folder.exists():
+        return Downloaded(folder, was_there=True)
+    url = f"{base_url.rstrip('/')}/{archive.file_name}" if base_url else archive.url
+    file = out / archive.file_name
+    fetch(url, file, progress=lambda *sizes: on_progress(f"Downloading {file.name}", *sizes))
+    # Beside the goal, so that moving it there is one step; whatever was left of a try before goes.
+    trial = out / f".{archive.folder}.unpacking"
+    shutil.rmtree(trial, ignore_errors=True)
+    try:
+        unpack(file, trial, progress=lambda *sizes: on_progress(f"Unpacking {file.name}", *sizes))
+        if not (trial / archive.folder).is_dir():
+            found = ", ".join(sorted(path.name for path in trial.iterdir())[:5]) or "nothing"
+            raise BadArchive(f"{file}: found {found} inside, expected {archive.folder}/")
+        (trial / archive.folder).replace(folder)
+    except BadArchive as error:
+        # Set aside, so that the next call downloads it again and does not stumble over it.
+        bad = file.with_name(file.name + ".bad")
+        with contextlib.suppress(OSError):
+            file.replace(bad)
+        raise DatasetError(f"{error}; set aside as {bad.name}") from error
+    finally:
+        shutil.rmtree(trial, ignore_errors=True)
+    if not keep_archive:
+        file.unlink()
+    return Downloaded(folder, was_there=False)

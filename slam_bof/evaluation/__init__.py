@@ -1,0 +1,5 @@
+"""Evaluation: metrics, protocols, benchmarks, and the tables of the paper."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,60 @@
+from .holdout_training import (
+    TrainedScenes as TrainedScenes,
+    train_scenes as train_scenes,
+)
+from .localization_metrics import (
+    pose_accuracy as pose_accuracy,
+)
+from .loop_metrics import (
+    loop_errors as loop_errors,
+    loop_precision as loop_precision,
+    loop_recall as loop_recall,
+    revisits as revisits,
+    same_place as same_place,
+)
+from .paper_tables import (
+    run_bench as run_bench,
+)
+from .place_benchmark import (
+    RECOGNISER as RECOGNISER,
+    Scored as Scored,
+    evaluate_places as evaluate_places,
+)
+from .place_protocol import (
+    ProtocolParams as ProtocolParams,
+    overlap_shares as overlap_shares,
+)
+from .retrieval_metrics import (
+    PrecisionRecall as PrecisionRecall,
+    precision_recall as precision_recall,
+    recall_at_k as recall_at_k,
+)
+from .scene_benchmark import (
+    SceneResult as SceneResult,
+    compare as compare,
+    split_officially as split_officially,
+    split_rooms as split_rooms,
+    split_sunrgbd as split_sunrgbd,
+)
+from .scene_methods import (
+    make_methods as make_methods,
+)
+from .scene_metrics import (
+    Roc as Roc,
+    calibration_error as calibration_error,
+    confusion as confusion,
+    reliability as reliability,
+    roc as roc,
+    scene_accuracy as scene_accuracy,
+)
+from .scene_splits import (
+    Split as Split,
+    split_at_random as split_at_random,
+    split_by_time as split_by_time,
+)
+from .trajectory_metrics import (
+    align_trajectory as align_trajectory,
+    associate as associate,
+    ate as ate,
+    rpe as rpe,
+)

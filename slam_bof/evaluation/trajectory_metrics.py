@@ -1,0 +1,136 @@
+"""How good a run was: trajectory errors, loops, scene labels, retrieval.
+
+Trajectories are compared with their ground truth by time stamp, and only where the ground
+truth is known (not NaN). ATE and RPE are those of evo: ``evo_ape tum REF EST -a`` and
+``evo_rpe tum REF EST --delta 30 --all_pairs``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.geometry import se3
+from slam_bof.types import Array, Pose, Trajectory
+
+__all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "rpe"]
+
+MAX_DIFFERENCE_S = 0.01
+MIN_POSES = 3
+"""With fewer, an alignment leaves no error to measure."""
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStats:
+    """Translation errors in metres over ``n`` poses."""
+
+    rmse_m: float
+    mean_m: float
+    median_m: float
+    max_m: float
+    n: int
+
+
+def associate(
+    estimate: Trajectory, reference: Trajectory, max_difference_s: float = MAX_DIFFERENCE_S
+) -> tuple[Indices, Indices]:
+    """Pair the poses of two trajectories by time, as evo does.
+
+    Each pose of the shorter trajectory gets the one nearest in time of the longer; reference
+    poses that are NaN do not take part.
+
+    Returns
+    -------
+    tuple of arrays
+        (M,) indices into ``estimate`` and (M,) into ``reference``.
+
+    Examples
+    --------
+    >>> poses = np.tile(np.eye(4), (3, 1, 1))
+    >>> estimate = Trajectory(np.array([0.1, 0.2]), poses[:2])
+    >>> reference = Trajectory(np.array([0.0, 0.105, 0.3]), poses)
+    >>> [indices.tolist() for indices in associate(estimate, reference)]
+    [[0], [1]]
+    """
+    known = np.flatnonzero(np.isfinite(reference.poses).all(axis=(1, 2)))
+    if len(estimate) == 0 or len(known) == 0:
+        return np.empty(0, np.intp), np.empty(0, np.intp)
+    reference_s = reference.stamps_s[known]
+    if len(estimate) <= len(known):
+        at_estimate = np.arange(len(estimate))
+        at_known = _nearest(estimate.stamps_s, reference_s)
+    else:
+        at_known = np.arange(len(known))
+        at_estimate = _nearest(reference_s, estimate.stamps_s)
+    apart_s = np.abs(estimate.stamps_s[at_estimate] - reference_s[at_known])
+    near = apart_s <= max_difference_s
+    return at_estimate[near], known[at_known[near]]
+
+
+def align_trajectory(
+    estimate: Trajectory, reference: Trajectory, max_difference_s: float = MAX_DIFFERENCE_S
+) -> Pose | None:
+    """Find the rigid ``T_reference_estimate`` that fits the positions best (Umeyama).
+
+    None with fewer than 3 pairs of poses.
+    """
+    i, j = associate(estimate, reference, max_difference_s)
+    if len(i) < MIN_POSES:
+        return None
+    return se3.align(reference.poses[j, :3, 3], estimate.poses[i, :3, 3])
+
+
+def ate(
+    estimate: Trajectory, reference: Trajectory, max_difference_s: float = MAX_DIFFERENCE_S
+) -> ErrorStats | None:
+    """Measure the absolute trajectory error: positions after rigid alignment.
+
+    None with fewer than 3 pairs of poses.
+    """
+    T_reference_estimate = align_trajectory(estimate, reference, max_difference_s)
+    if T_reference_estimate is None:
+        return None
+    i, j = associate(estimate, reference, max_difference_s)
+    aligned = se3.transform(T_reference_estimate, estimate.poses[i, :3, 3])
+    errors_m = np.linalg.norm(reference.poses[j, :3, 3] - aligned, axis=1)
+    return ErrorStats(
+        rmse_m=float(np.sqrt(np.mean(errors_m**2))),
+        mean_m=float(errors_m.mean()),
+        median_m=float(np.median(errors_m)),
+        max_m=float(errors_m.max()),
+        n=len(errors_m),
+    )
+
+
+def rpe(
+    estimate: Trajectory,
+    reference: Trajectory,
+    n_frames: int = 30,
+    max_difference_s: float = MAX_DIFFERENCE_S,
+) -> float | None:
+    """Measure the relative pose error: RMSE in metres of the drift over ``n_frames``.
+
+    The translation of ``(Q_a^-1 Q_b)^-1 (P_a^-1 P_b)`` over all pairs of associated poses that
+    many apart; None where there is no such pair.
+    """
+    i, j = associate(estimate, reference, max_difference_s)
+    if len(i) <= n_frames:
+        return None
+    P, Q = estimate.poses[i], reference.poses[j]
+    T_estimate = se3.inverse(P[:-n_frames]) @ P[n_frames:]
+    T_reference = se3.inverse(Q[:-n_frames]) @ Q[n_frames:]
+    errors = se3.inverse(T_reference) @ T_estimate
+    return float(np.sqrt(np.mean(np.sum(errors[:, :3, 3] ** 2, axis=1))))
+
+
+def _nearest(stamps_s: Array, among_s: Array) -> Indices:
+    """Return the index of the nearest of the sorted ``among_s``; the earlier one in a tie."""
+    after = np.searchsorted(among_s, stamps_s).clip(1, max(1, len(among_s) - 1))
+    after = np.minimum(after, len(among_s) - 1)
+    before = np.maximum(after - 1, 0)
+    earlier = stamps_s - among_s[before] <= among_s[after] - stamps_s
+    return np.asarray(np.where(earlier, before, after), dtype=np.intp)

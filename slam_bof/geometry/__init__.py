@@ -1,0 +1,5 @@
+"""Geometry: poses, trajectories, cameras, depth views and their alignment."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,192 @@
+"""Trajectories as text, in the TUM and KITTI formats at full precision; and bent by a map.
+
+TUM has a line ``stamp tx ty tz qx qy qz qw`` for each pose, KITTI the 12 numbers of the upper
+(3, 4) of ``T_world_camera``, row by row, one line for each frame and no stamps. Numbers are
+written in the shortest form that reads back as the same float64.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from slam_bof.errors import DatasetError
+from slam_bof.geometry import se3
+from slam_bof.types import Array, Trajectory
+
+__all__ = ["read_kitti", "read_tum", "spread_correction", "write_kitti", "write_tum"]
+
+TOLERANCE = 1e-2
+"""How far a quaternion may be from norm 1: files that were written with few digits are still read,
+and it is normalised."""
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory in TUM format; poses that are NaN (unknown) are left out."""
+    known = np.isfinite(trajectory.poses).all(axis=(1, 2))
+    poses = trajectory.poses[known]
+    columns = [trajectory.stamps_s[known, None], poses[:, :3, 3], _quaternions(poses)]
+    _write(path, np.hstack(columns))
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Read a trajectory in TUM format; empty lines and ``#`` comments are skipped.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read, or a line is not 8 finite numbers with a unit quaternion and
+        a stamp above the one before it.
+    """
+    rows: list[Array] = []
+    for where, row in _rows(path, 8, "stamp tx ty tz qx qy qz qw"):
+        if not np.isfinite(row).all():
+            raise DatasetError(f"{where}: found NaN or infinity, expected 8 finite numbers")
+        norm = np.linalg.norm(row[4:])
+        if abs(norm - 1.0) > TOLERANCE:
+            raise DatasetError(f"{where}: found a quaternion of norm {norm:.6g}, expected 1")
+        if rows and row[0] <= rows[-1][0]:
+            raise DatasetError(
+                f"{where}: found stamp {float(row[0])} s after {float(rows[-1][0])} s, "
+                "expected growing stamps"
+            )
+        rows.append(row)
+    table = np.array(rows).reshape(-1, 8)
+    if len(table) == 0:
+        return Trajectory()
+    return Trajectory(table[:, 0], se3.from_quaternion(table[:, 4:], table[:, 1:4]))
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> None:
+    """Write a trajectory in KITTI format; an unknown pose is a line of 12 ``nan``.
+
+    It cannot be left out, since the line's number is the frame's.
+    """
+    _write(path, trajectory.poses[:, :3].reshape(-1, 12))
+
+
+def read_kitti(path: Path, stamps_s: Array | None = None) -> Trajectory:
+    """Read a trajectory in KITTI format.
+
+    Parameters
+    ----------
+    path
+        The file.
+    stamps_s
+        (N,) times of the poses in seconds; without them, a pose's number counts as its time.
+
+    Raises
+    ------
+    DatasetError
+        If the file cannot be read, a line is not 12 numbers with a rotation in them (or 12
+        ``nan``, for an unknown pose), or there are not as many poses as stamps.
+    """
+    rows: list[Array] = []
+    for where, row in _rows(path, 12, "the first 3 rows of a pose"):
+        if not np.isnan(row).all():
+            _check_pose(row.reshape(3, 4), where)
+        rows.append(row)
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = np.array(rows).reshape(-1, 3, 4)
+    poses[np.isnan(poses).any(axis=(1, 2))] = np.nan
+    if stamps_s is None:
+        stamps_s = np.arange(len(poses), dtype=np.float64)
+    if len(stamps_s) != len(poses):
+        raise DatasetError(f"{path}: found {len(poses)} poses, expected {len(stamps_s)}")
+    return Trajectory(np.asarray(stamps_s, dtype=np.float64), poses)
+
+
+def spread_correction(
+    T_odom_camera: Array,
+    stamps_s: Array,
+    keyframe_indices: Array,
+    T_map_keyframes: Array,
+    segments: Array | None = None,
+) -> Array:
+    """Spread the keyframes' corrections smoothly over all frames.
+
+    Each frame is carried along from the keyframe before it and from the one after it by
+    odometry, and interpolated between the two by time; there is no lever arm, so a frame moves
+    no more than its keyframes do. Where odometry was lost in between, a frame goes with the
+    keyframe on its side; while it was lost, with both.
+
+    Parameters
+    ----------
+    T_odom_camera, stamps_s
+        (N, 4, 4) odometry poses and (N,) times of all frames.
+    keyframe_indices, T_map_keyframes
+        (K,) growing frame indices and (K, 4, 4) optimised poses of the keyframes, K > 0.
+    segments
+        (N,) the uninterrupted track that each frame is of, -1 where odometry was lost; without,
+        all are of one.
+
+    Returns
+    -------
+    Array
+        (N, 4, 4) T_map_camera.
+    """
+    frames = np.arange(len(T_odom_camera))
+    before = np.maximum(np.searchsorted(keyframe_indices, frames, side="right") - 1, 0)
+    after = np.minimum(before + 1, len(keyframe_indices) - 1)
+    T_map_odom = T_map_keyframes @ se3.inverse(T_odom_camera[keyframe_indices])
+    start_s, end_s = stamps_s[keyframe_indices][before], stamps_s[keyframe_indices][after]
+    span_s = np.where(after > before, end_s - start_s, 1.0)
+    fraction = np.where(after > before, np.maximum(stamps_s - start_s, 0.0) / span_s, 0.0)
+    if segments is not None:
+        of_keyframes = segments[keyframe_indices]
+        alone = of_keyframes[before] != of_keyframes[after]
+        fraction[alone & (segments == of_keyframes[before])] = 0.0
+        fraction[alone & (segments == of_keyframes[after])] = 1.0
+    return se3.interpolate(
+        T_map_odom[before] @ T_odom_camera, T_map_odom[after] @ T_odom_camera, fraction[:, None]
+    )
+
+
+def _quaternions(poses: Array) -> Array:
+    """Return (N, 4) quaternions; SciPy takes no empty stack of matrices."""
+    return se3.to_quaternion(poses) if len(poses) else np.empty((0, 4))
+
+
+def _check_pose(T: Array, where: str) -> None:
+    try:
+        se3.check_rigid(T)
+    except ValueError as error:
+        raise DatasetError(f"{where}: {error}") from None
+
+
+def _write(path: Path, table: Array) -> None:
+    lines = (" ".join(map(repr, row)) + "\n" for row in table.tolist())
+    with Path(path).open("w", encoding="ascii", newline="\n") as file:
+        file.writelines(lines)
+
+
+def _rows(path: Path, n_numbers: int, meaning: str) -> Iterator[tuple[str, Array]]:
+    """Yield the numbers of each line, and the place to name in an error."""
+    for number, line in enumerate(_lines(path), start=1):
+        fields = line.split()
+        if not fields or fields[0].startswith("#"):
+            continue
+        where = f"{path}, line {number}"
+        try:
+            row = np.array([float(field) for field in fields])
+        except ValueError:
+            raise DatasetError(
+                f"{where}: found {line.strip()[:60]!r}, expected {n_numbers} numbers: {meaning}"
+            ) from None
+        if len(row) != n_numbers:
+            raise DatasetError(
+                f"{where}: found {len(row)} numbers, expected {n_numbers}: {meaning}"
+            )
+        yield where, row
+
+
+def _lines(path: Path) -> Iterable[str]:
+    try:
+        return Path(path).read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        raise DatasetError(f"{path}: found binary data, expected a text file of poses") from None
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise DatasetError(f"{path}: cannot be read ({reason}), expected poses") from None

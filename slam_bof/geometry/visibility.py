@@ -1,0 +1,131 @@
+"""How far one view agrees with others at given poses: what both see, and what contradicts.
+
+Points of either view, seen from the other, lie at the depth that the other has there (*seen*), or
+would stand in front of what it sees (*blocking*), which cannot be. Points behind what it sees
+are hidden, and say nothing.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.geometry import se3
+from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
+from slam_bof.types import Array
+
+__all__ = ["Agreement", "Coverage", "Told", "agreement", "coverage", "tell"]
+
+
+class Agreement(NamedTuple):
+    """How far a view agrees with others, each (n,)."""
+
+    seen: Floats
+    """Share of a view's points that the other sees too; the smaller of both ways."""
+    blocking: Floats
+    """Share of its points that would block what the other sees; both ways added."""
+    compared: Floats
+    """Share of its points that fall where the other has a depth at all; the smaller."""
+
+
+class Coverage(NamedTuple):
+    """How far a view agrees with many others taken together."""
+
+    compared: float
+    """Share of its points that fall where any of the others has a depth."""
+    seen: float
+    """Of these, the share that any of the others sees too."""
+    blocking: float
+    """Of these, the share that stands in front of what more of the others see than see it."""
+    blocked: float
+    """Of the others' points that fall where the view has a depth, the share in front of it."""
+
+
+class Told(NamedTuple):
+    """What others tell of points, each (n, m) bool."""
+
+    seen: NDArray[np.bool_]
+    blocking: NDArray[np.bool_]
+    known: NDArray[np.bool_]
+    """Whether the other has a depth there at all."""
+
+
+def tell(
+    views: ViewStack, points: Floats, frames: Indices, T: Floats, tolerance: tuple[float, float]
+) -> Told:
+    """Tell of points (m, 3), or (n, m, 3), what the frames (n,) see of them at poses (n, 4, 4).
+
+    ``tolerance`` is of depth: metres, and a share of it.
+    """
+    fallen = views.fall(points, T)
+    there, _ = views.look(frames, fallen)
+    known = there > 0
+    off = fallen.depth_m - there
+    fixed, share = tolerance
+    allowed = fixed + share * fallen.depth_m
+    return Told(known & (np.abs(off) < allowed), known & (off < -allowed), known)
+
+
+def agreement(
+    views: ViewStack,
+    query: int,
+    matches: Indices,
+    T_match_query: Array,
+    tolerance: tuple[float, float],
+) -> Agreement:
+    """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
+    points = views.sampled(query), views.sampled(matches)
+    out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
+    seen, blocking, compared = (told.mean(axis=1) for told in out)
+    seen_back, blocking_back, compared_back = (told.mean(axis=1) for told in back)
+    return Agreement(
+        np.minimum(seen, seen_back),
+        blocking + blocking_back,
+        np.minimum(compared, compared_back),
+    )
+
+
+def coverage(
+    views: ViewStack,
+    query: int,
+    matches: Indices,
+    T_match_query: Array,
+    tolerance: tuple[float, float],
+) -> Coverage:
+    """Measure how far the query agrees with all matches (n,) together, at poses (n, 4, 4).
+
+    What one of them does not see, as it is hidden from there, another may. Only points on surfaces
+    are looked at: at edges sensors err.
+    """
+    points = views.surface_points(query), views.surface_points(matches)
+    out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
+    n_seen, n_blocking, n_known = (told.sum(axis=0) for told in out)
+    compared = float((n_known > 0).mean())
+    n_compared = max(int((n_known > 0).sum()), 1)
+    return Coverage(
+        compared,
+        float((n_seen > 0).sum() / n_compared),
+        float((n_blocking > n_seen).sum() / n_compared),
+        float(back.blocking.sum() / max(int(back.known.sum()), 1)),
+    )
+
+
+def _both_ways(
+    views: ViewStack,
+    query: int,
+    matches: Indices,
+    T_match_query: Array,
+    tolerance: tuple[float, float],
+    points: tuple[Floats, Floats],
+) -> tuple[Told, Told]:
+    """Return what the matches tell of the query's points, and what it tells of theirs."""
+    own, theirs = points
+    T = T_match_query.astype(np.float32)
+    back = se3.inverse(T_match_query).astype(np.float32)
+    asked = np.full(len(matches), query)
+    return (
+        tell(views, own, matches, T, tolerance),
+        tell(views, theirs, asked, back, tolerance),
+    )

@@ -1,0 +1,5 @@
+"""Loop closing: candidates, covisibility, verification, consistency."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

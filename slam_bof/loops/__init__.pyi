@@ -1,0 +1,16 @@
+from .covisibility import (
+    CovisibilityParams as CovisibilityParams,
+    choose_covisible as choose_covisible,
+)
+from .detector import (
+    LoopCounts as LoopCounts,
+    LoopDetector as LoopDetector,
+)
+from .params import (
+    LoopParams as LoopParams,
+)
+from .verification import (
+    LoopVerification as LoopVerification,
+    VerificationParams as VerificationParams,
+    Verified as Verified,
+)

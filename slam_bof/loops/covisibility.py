@@ -1,0 +1,41 @@
+"""Which keyframes see the same surfaces, by the poses that the map has for them.
+
+Bags find a place again after long drift; they are blind to the local slip of odometry. Edges
+between keyframes that look at the same surfaces mend that.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from slam_bof.types import Array, Params
+
+__all__ = ["CovisibilityParams", "choose_covisible"]
+
+
+class CovisibilityParams(Params):
+    """How many edges a keyframe gets, and what counts as seeing the same."""
+
+    max_edges: int = Field(12, ge=0, description="a keyframe; 0 turns proximity off")
+    min_overlap: float = Field(0.35, gt=0, le=1, description="share of points in both views")
+    separation: int = Field(2, gt=0, description="keyframes from one choice to the next")
+    max_range_m: float = Field(5.0, gt=0, description="how far a view reaches")
+
+
+def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:
+    """Choose up to ``max_edges`` of the views, those that overlap most, but no two in a row.
+
+    ``overlaps`` (K,) are in order of time. Two views close in time say much the same, so that
+    the next best one farther off is worth more.
+
+    >>> choose_covisible(np.array([0.6, 0.1, 0.5, 0.7, 0.9]), CovisibilityParams(separation=2))
+    [0, 2, 4]
+    """
+    left = np.where(overlaps >= params.min_overlap, overlaps, 0.0)
+    chosen: list[int] = []
+    while len(chosen) < params.max_edges and left.any():
+        best = int(left.argmax())
+        chosen.append(best)
+        left[max(0, best - params.separation + 1) : best + params.separation] = 0.0
+    return sorted(chosen)

@@ -1,0 +1,101 @@
+"""Loops must agree with each other: a single one may be two places that look the same.
+
+Two loops agree if going round them, by the one loop, the map between the queries, the other
+loop back and the map between the matches, ends where it began (the pairwise
+consistency of Mangelson et al., ICRA 2018, with fixed tolerances).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from slam_bof.geometry import se3
+from slam_bof.types import Array, Loop, Params
+
+__all__ = ["ConsistencyGate", "ConsistencyParams", "agree", "circuit_errors"]
+
+
+class ConsistencyParams(Params):
+    """How many other loops must agree, and how well."""
+
+    n_required: int = Field(1, ge=0, description="loops of other keyframes that must agree")
+    window: int = Field(8, gt=0, description="keyframes back that may still bear witness")
+    max_distance_m: float = Field(0.1, gt=0)
+    max_angle_rad: float = Field(0.06, gt=0)
+
+
+@dataclass(slots=True, eq=False)
+class _Held:
+    """A loop and the keyframes whose loops agree with it."""
+
+    loop: Loop
+    witnesses: set[int] = field(default_factory=set)
+
+
+class ConsistencyGate:
+    """Holds each verified loop back until enough others agree with it."""
+
+    def __init__(self, params: ConsistencyParams) -> None:
+        self.params = params
+        self._recent: list[_Held] = []
+
+    def admit(self, loops: list[Loop], T_map_camera: Array) -> list[Loop]:
+        """Take the verified loops of one keyframe; return those admitted now, old ones too.
+
+        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far.
+        """
+        p = self.params
+        if p.n_required == 0:
+            return loops
+        admitted = []
+        newest = len(T_map_camera) - 1
+        self._recent = [old for old in self._recent if newest - old.loop.query_id <= p.window]
+        recent = [old.loop for old in self._recent]
+        new = [_Held(loop) for loop in loops]
+        for one in new:
+            agreed = agree(one.loop, recent, T_map_camera, p.max_distance_m, p.max_angle_rad)
+            for other in itertools.compress(self._recent, agreed):
+                admitted += self._testify(other, one.loop.query_id)
+                admitted += self._testify(one, other.loop.query_id)
+        self._recent += new
+        return admitted
+
+    def _testify(self, held: _Held, witness_id: int) -> list[Loop]:
+        """Note a witness; return the loop if that makes it enough."""
+        before = len(held.witnesses)
+        held.witnesses.add(witness_id)
+        return [held.loop] if before < self.params.n_required <= len(held.witnesses) else []
+
+
+def agree(
+    loop: Loop,
+    others: Sequence[Loop],
+    T_map_camera: Array,
+    max_distance_m: float,
+    max_angle_rad: float,
+) -> NDArray[np.bool_]:
+    """Tell of each other loop, (n,), whether going round both ends where it began, nearly."""
+    errors = circuit_errors(loop, others, T_map_camera)
+    return np.asarray(
+        (np.linalg.norm(errors[:, :3, 3], axis=1) <= max_distance_m)
+        & (se3.rotation_angle(errors) <= max_angle_rad)
+    )
+
+
+def circuit_errors(loop: Loop, others: Sequence[Loop], T_map_camera: Array) -> Array:
+    """Return what is left, (n, 4, 4), of going round by a loop and back by each of the others.
+
+    In between the map leads, from query to query and from match to match.
+    """
+    T_map_query = T_map_camera[[other.query_id for other in others]].reshape(-1, 4, 4)
+    T_map_match = T_map_camera[[other.match_id for other in others]].reshape(-1, 4, 4)
+    T_match_query = np.array([other.T_match_query for other in others]).reshape(-1, 4, 4)
+    out = loop.T_match_query @ se3.inverse(T_map_camera[loop.query_id]) @ T_map_query
+    back = se3.inverse(T_match_query) @ se3.inverse(T_map_match) @ T_map_camera[loop.match_id]
+    return np.asarray(out @ back)

@@ -1,0 +1,5 @@
+"""Place recognition: where else a view was taken, and localisation among keyframes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,8 @@
+from .folder import (
+    read_run as read_run,
+)
+from .run import (
+    RunResult as RunResult,
+    resume_sequence as resume_sequence,
+    run_sequence as run_sequence,
+)

@@ -1,0 +1,5 @@
+"""SLAM: configuration, the plug-in LoopCloser, the mini-SLAM around it."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

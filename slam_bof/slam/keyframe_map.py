@@ -1,0 +1,239 @@
+"""The map's keyframes: each is described, found again in older ones, and tied into the graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slam_bof.core import StageClock, registry
+from slam_bof.geometry import PointParams, points_camera, se3, thicken, view_overlap, view_stride
+from slam_bof.loops import (
+    CovisibilityParams,
+    LoopCounts,
+    LoopDetector,
+    LoopVerification,
+    Verified,
+    choose_covisible,
+)
+from slam_bof.ports import Backend
+from slam_bof.scenes import Model, SceneFilter, SceneFilterParams, model as models
+from slam_bof.slam.config import Config
+from slam_bof.slam.pose_graph import MapGraph
+from slam_bof.types import Array, Candidate, DepthFrame, Keyframe, KeyframeRecord, Loop, Pose
+
+__all__ = ["KeyframeMap"]
+
+N_OVERLAP_POINTS = 200
+
+
+class KeyframeMap:
+    """Takes the frames that become keyframes, of one session after the other.
+
+    Attributes
+    ----------
+    keyframes
+        All, in the order they came.
+    first_keyframe
+        The first of the session; those before it are of a saved map.
+    session
+        How many sessions were before.
+    graph
+        What holds them together.
+    model_hash
+        Of the model whose words describe them.
+    T_map_track
+        (4, 4) what corrects the track that the newest keyframe is of.
+    """
+
+    def __init__(
+        self,
+        *,
+        model: Model,
+        detector: LoopDetector,
+        labels: SceneFilterParams,
+        covisibility: CovisibilityParams,
+        cloud: PointParams,
+        gravity_odom: ArrayLike,
+        verification: LoopVerification,
+        backend: Backend,
+        clock: StageClock,
+    ) -> None:
+        self.keyframes: list[Keyframe] = []
+        self.first_keyframe = 0
+        self.session = 0
+        self.graph = MapGraph(backend)
+        self.T_map_track: Pose = np.eye(4)
+        self.model_hash = model.content_hash
+        self._describer = model.describer()
+        self._labeller = model.labeller()
+        self._labels = labels
+        self._scene_filter = SceneFilter(labels)
+        self._detector = detector
+        self._covisibility = covisibility
+        self._cloud = cloud
+        self._gravity_odom = np.asarray(gravity_odom, dtype=np.float64)
+        self._verification = verification
+        self._clock = clock
+
+    @classmethod
+    def from_config(cls, config: Config, clock: StageClock) -> Self:
+        """Build one as a configuration says."""
+        model = models.load_default() if config.model == "default" else models.load(config.model)
+        detector = LoopDetector(
+            config.loops,
+            model.vocabulary.n_words,
+            gravity_odom=config.gravity_odom,
+            seed=config.seed,
+        )
+        return cls(
+            model=model,
+            detector=detector,
+            labels=config.labels,
+            covisibility=config.covisibility,
+            cloud=config.cloud,
+            gravity_odom=config.gravity_odom,
+            verification=LoopVerification(
+                registry.build("verifiers", config.verifier.name, config.verifier.options),
+                config.verification,
+                compare=detector.compare,
+                seed=config.seed,
+            ),
+            backend=registry.build("backends", config.backend.name, config.backend.options),
+            clock=clock,
+        )
+
+    def __len__(self) -> int:
+        """Return the number of keyframes."""
+        return len(self.keyframes)
+
+    @property
+    def of_session(self) -> list[Keyframe]:
+        """The keyframes of this session."""
+        return self.keyframes[self.first_keyframe :]
+
+    @property
+    def parts(self) -> NDArray[np.intp]:
+        """The part of the map (K,) that each keyframe is in."""
+        return self.graph.parts.of_keyframes()
+
+    @property
+    def loop_counts(self) -> LoopCounts:
+        """The session's keyframes so far by how far their search for a loop came."""
+        return self._detector.counts
+
+    def begin_session(self) -> None:
+        """Expect keyframes of another odometry, whose clock may start anew."""
+        self.session += 1
+        self.first_keyframe = len(self)
+        self._detector.begin_session(self._gravity_odom)
+        self._scene_filter = SceneFilter(self._labels)
+
+    def add(
+        self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
+    ) -> Verified:
+        """Make a frame the newest keyframe; return what came of its candidates."""
+        with self._clock.stage("describe"):
+            gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
+            bag = self._describer.describe(frame, gravity_camera=gravity_camera)
+            scene = smoothed = None
+            if self._labeller is not None:
+                scene = self._labeller.label(frame, gravity_camera=gravity_camera, bag=bag)
+                smoothed = self._scene_filter.update(
+                    scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
+                )
+        where = (len(self), frame_index, frame.stamp_s, T_odom_camera)
+        keyframe = Keyframe(*where, bag, scene, segment, smoothed, self.session)
+        return self.add_described(keyframe, frame)
+
+    def add_described(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
+        """Add a keyframe that has its bag and label."""
+        self.keyframes.append(keyframe)
+        with self._clock.stage("query"):
+            found = self._detector.find(keyframe, frame)
+        self.graph.add_keyframe(keyframe)
+        with self._clock.stage("verify"):
+            points = points_camera(frame, self._cloud_params(frame))
+            proposed = {c.match_id for c in found.candidates if c.decision != "rejected"}
+            T_map_camera = self.graph.poses()
+            covisible = self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
+            self._verification.add(frame, points)
+            verified = self._verification.verify(
+                found.candidates + covisible,
+                T_map_camera,
+                parts=self.parts,
+                guesses=found.guesses,
+            )
+        self._close(keyframe, verified.admitted)
+        return verified
+
+    def take_back(self, record: KeyframeRecord) -> None:
+        """Do again what a saved keyframe came to, but for what was searched for and measured."""
+        keyframe, frame = record.keyframe, thicken(record.thin, record.keyframe.stamp_s)
+        if keyframe.scene is not None:
+            position_m = keyframe.T_odom_camera[:3, 3]
+            self._scene_filter.update(
+                keyframe.scene, keyframe.stamp_s, position_m, segment=keyframe.segment
+            )
+        self.keyframes.append(keyframe)
+        self._detector.remember(keyframe, frame, record.candidates)
+        self.graph.add_keyframe(keyframe)
+        self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
+        loops = [loop for loop in record.measured if loop.kind == "loop"]
+        self._verification.admit(loops, self.graph.poses(), self.parts)
+        self._close(keyframe, record.admitted)
+
+    def state(self) -> dict[str, Any]:
+        """Return what records do not tell, as JSON has it."""
+        return self._detector.state()
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from there, with the keyframes taken back that it was of."""
+        self._detector.restore(state)
+
+    def _close(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
+        loops = list(loops)
+        self._detector.note(loops)
+        with self._clock.stage("optimize"):
+            self.graph.add_loops(loops)
+            self.T_map_track = self.graph.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
+
+    def _cloud_params(self, frame: DepthFrame) -> PointParams:
+        """Return which pixels become points: of those that a saved map keeps."""
+        kept = view_stride(frame.intrinsics)
+        if self._cloud.stride % kept == 0:
+            return self._cloud
+        return self._cloud.model_copy(update={"stride": kept})
+
+    def _find_covisible(
+        self,
+        keyframe: Keyframe,
+        frame: DepthFrame,
+        points: Array,
+        T_map_camera: Array,
+        found: set[int],
+    ) -> list[Candidate]:
+        """Return those keyframes, but for ``found``, that by the map see what this one sees."""
+        p = self._covisibility
+        every = max(1, len(points) // N_OVERLAP_POINTS)
+        overlaps = view_overlap(
+            points[::every], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m
+        )
+        parts = self.parts
+        overlaps[parts[:-1] != parts[-1]] = 0.0
+        min_age_s = self._detector.params.min_age_s
+        return [
+            Candidate(
+                keyframe.id,
+                match_id,
+                "proximity",
+                "loop"
+                if match_id < self.first_keyframe
+                or keyframe.stamp_s - self.keyframes[match_id].stamp_s >= min_age_s
+                else "covisibility",
+            )
+            for match_id in choose_covisible(overlaps, p)
+            if match_id not in found
+        ]

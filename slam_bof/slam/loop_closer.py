@@ -1,0 +1,324 @@
+"""The plug-in: two calls beside any odometry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from slam_bof.core import StageClock, one_blas_thread
+from slam_bof.geometry import CloudCamera, in_steps, se3, thicken, thin
+from slam_bof.loops import LoopCounts
+from slam_bof.ports import Backend
+from slam_bof.slam.config import Config, load, preset
+from slam_bof.slam.frame_history import History
+from slam_bof.slam.keyframe_map import KeyframeMap
+from slam_bof.tracking import KeyframeSelector, Track, Tracker, TrackingParams
+from slam_bof.types import (
+    LOST,
+    Array,
+    DepthFrame,
+    FramePose,
+    Intrinsics,
+    Keyframe,
+    KeyframeRecord,
+    Loop,
+    Pose,
+    Step,
+    Trajectory,
+)
+
+__all__ = ["Journal", "LoopCloser"]
+
+Journal = Callable[[KeyframeRecord], None]
+"""Takes each keyframe with all that was learnt with it, such as ``MapWriter.write``."""
+
+
+class LoopCloser:
+    """Loop closing, map correction and scene labels beside an odometry of your own.
+
+    >>> closer = LoopCloser.from_preset("indoor")  # doctest: +SKIP
+    >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
+    ...     step = closer.process(frame, T_odom_camera)
+    ...     T_map_camera = step.T_map_odom @ T_odom_camera
+    >>> trajectory = closer.finish()  # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        keyframes: KeyframeMap,
+        *,
+        tracking: TrackingParams,
+        selector: KeyframeSelector,
+        gravity_odom: ArrayLike,
+        seed: int = 0,
+        journal: Journal | None = None,
+        clock: StageClock | None = None,
+    ) -> None:
+        self.history = History()
+        self.journal = journal
+        """Takes each keyframe with all that was learnt with it."""
+        self._map = keyframes
+        self._tracking, self._seed = tracking, seed
+        self._tracker = Tracker(tracking, seed=seed)
+        self._selector = selector
+        self._clock = clock or StageClock()
+        self._camera: Intrinsics | None = None
+        self._cloud_camera = CloudCamera(gravity_odom)
+
+    @classmethod
+    def from_preset(cls, name: str = "indoor", *, journal: Journal | None = None) -> Self:
+        """Build one from a preset by name: ``indoor`` or ``paper``."""
+        return cls.from_config(preset(name), journal=journal)
+
+    @classmethod
+    def from_config(
+        cls,
+        config: Config | str | Path,
+        *,
+        journal: Journal | None = None,
+        clock: StageClock | None = None,
+    ) -> Self:
+        """Build one from a configuration or its YAML file; ``journal`` takes what is learnt."""
+        config = config if isinstance(config, Config) else load(Path(config))
+        clock = clock or StageClock()
+        return cls(
+            KeyframeMap.from_config(config, clock),
+            selector=KeyframeSelector(config.keyframes),
+            tracking=config.tracking,
+            gravity_odom=config.gravity_odom,
+            seed=config.seed,
+            journal=journal,
+            clock=clock,
+        )
+
+    def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
+        """Take a frame and its odometry pose (4, 4); answer with the map's correction.
+
+        Raises
+        ------
+        ValueError
+            If stamps do not grow, the frame is of another camera than those before, or the pose is
+            not finite or no rotation and translation; it is not taken then, and others may follow.
+        """
+        return self._process(frame, T_odom_camera)
+
+    def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
+        """Take a point cloud where there is no depth image; answer as ``process`` does.
+
+        Of a depth camera's cloud its image is made again. One from all around, as a LiDAR makes
+        it, is looked at in one direction of the odometry's frame: the first sensor's forward.
+        ``step.keyframe`` and ``step.loops`` are of that view. The first cloud of 100 points or
+        more tells which kind of sensor it is; see ``clouds``.
+
+        Parameters
+        ----------
+        stamp_s
+            Time in seconds, on any clock that grows.
+        points_camera
+            (N, 3) in metres, x right, y down, z forward; what is not finite is dropped.
+        T_odom_camera
+            (4, 4) the sensor's pose.
+
+        Raises
+        ------
+        ValueError
+            As ``process``, or if the points are not (N, 3).
+        """
+        T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
+        is_settled = self._camera is not None
+        frame, T_camera_view = self._cloud_camera.look(stamp_s, points_camera, T_odom_camera)
+        T_odom_view = T_odom_camera @ T_camera_view
+        step = self._process(frame, T_odom_view, se3.inverse(T_camera_view))
+        if not is_settled and not frame.depth.any():
+            self._camera = None  # nothing seen: whatever camera comes next is the first
+        return step
+
+    def finish(self) -> Trajectory:
+        """Optimise the whole graph; return ``T_map_camera`` of every frame of this session.
+
+        Where nothing was ever seen there is no keyframe, and the map is the odometry.
+        Loops that contradict the rest move from ``loops`` to ``loops_left_out``.
+        """
+        with self._clock.stage("optimize"):
+            self._map.graph.optimize()
+        own = self._map.of_session
+        poses = self.backend.poses()[self.first_keyframe :] if own else None
+        return self.history.trajectory(own, poses)
+
+    @one_blas_thread()
+    def restore(self, records: Iterable[KeyframeRecord]) -> None:
+        """Go on from a saved map (``read_records``), right after its newest keyframe.
+
+        The next frame is the one after it, of the same odometry; where it is not, call
+        ``begin_session`` first. What follows is the same as if nothing had come in between.
+
+        Raises
+        ------
+        ValueError
+            If this is not a new one.
+        """
+        if self.keyframes or len(self.history):
+            raise ValueError("only a new one can go on from a saved map")
+        record = None
+        for record in records:
+            while self._map.session < record.keyframe.session:
+                self.begin_session()
+            self._camera = record.thin.intrinsics
+            self.history.frames.extend(record.frames)
+            self._map.take_back(record)
+        if record is None or not record.state:
+            return  # no run goes on from a map that was pruned, only another session
+        frame, last = thicken(record.thin, record.keyframe.stamp_s), record.frames[-1]
+        track = Track(last.T_odom_camera, False, last.segment, float("nan"))
+        self._tracker.restore(record.state["tracker"], frame, track)
+        self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
+        self._map.restore(record.state["detector"])
+        if record.state["is_around"] is not None:
+            self._cloud_camera.restore(record.thin.intrinsics, record.state["is_around"])
+
+    def begin_session(self) -> None:
+        """Expect frames of another odometry, or of one that was started anew, in the same place.
+
+        Their clock may start anew as well. They are a part of the map of their own until loops
+        join them to what was seen before.
+        """
+        self._map.begin_session()
+        self.history = History()
+        segment = self.keyframes[-1].segment + 1 if self.keyframes else 0
+        self._tracker = Tracker(self._tracking, seed=self._seed, segment=segment)
+        self._selector.reset()
+
+    @property
+    def keyframes(self) -> list[Keyframe]:
+        """All keyframes, those of a saved map first."""
+        return self._map.keyframes
+
+    @property
+    def first_keyframe(self) -> int:
+        """The first keyframe of this session."""
+        return self._map.first_keyframe
+
+    @property
+    def session(self) -> int:
+        """How many sessions were before this one."""
+        return self._map.session
+
+    @property
+    def model_hash(self) -> str:
+        """The content hash of the model whose words describe the keyframes."""
+        return self._map.model_hash
+
+    @property
+    def backend(self) -> Backend:
+        """The pose graph."""
+        return self._map.graph.backend
+
+    @property
+    def loops(self) -> list[Loop]:
+        """The graph's edges between keyframes that see the same."""
+        return self._map.graph.loops
+
+    @property
+    def loops_left_out(self) -> list[Loop]:
+        """Those that ``finish`` found to contradict the rest."""
+        return self._map.graph.left_out
+
+    @property
+    def loop_counts(self) -> LoopCounts:
+        """The session's keyframes so far by how far their search for a loop came."""
+        return self._map.loop_counts
+
+    @property
+    def n_parts(self) -> int:
+        """Of how many parts, which no loop has joined, the map is."""
+        return len(self._map.graph.parts)
+
+    @property
+    def parts(self) -> NDArray[np.intp]:
+        """The part of the map (K,) that each keyframe is in."""
+        return self._map.parts
+
+    @property
+    def n_odometry_lost(self) -> int:
+        """How often the odometry was lost so far in this session."""
+        return self._tracker.n_lost
+
+    @property
+    def n_frames_lost(self) -> int:
+        """Of how many frames of this session it is not known where the camera was."""
+        return self.history.n_lost
+
+    @property
+    def frames_since_keyframe(self) -> list[FramePose]:
+        """The frames of this session after its newest keyframe."""
+        own = self._map.of_session
+        return self.history.frames[own[-1].frame_index + 1 if own else 0 :]
+
+    @one_blas_thread()
+    def _process(
+        self, frame: DepthFrame, T_odom_camera: Pose, T_view_camera: Pose | None = None
+    ) -> Step:
+        frame_index = len(self.history)
+        last_s = self.history.last_stamp_s
+        if not last_s < frame.stamp_s < np.inf:
+            raise ValueError(f"stamps must grow, got {frame.stamp_s} s after {last_s} s")
+        camera = self._camera or frame.intrinsics
+        if frame.intrinsics != camera:
+            raise ValueError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
+        T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
+        try:
+            se3.check_rigid(T_odom_camera)
+        except ValueError as error:
+            place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
+            raise ValueError(f"{place}: {error}") from None
+        self._camera = camera
+        frame = in_steps(frame)
+        with self._clock.stage("track"):
+            track = self._tracker.track(frame, T_odom_camera)
+        segment = LOST if track.is_lost else track.segment
+        self.history.frames.append(
+            FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
+        )
+        if self._begins_segment(track):
+            self._selector.reset()
+            # The frame before, whose agreement showed that the track is found.
+            self.history.find_last_but_one(track.segment)
+        if not track.is_lost and self._selector.select(
+            frame_index, track.T_odom_camera, seen=track.seen
+        ):
+            self._tracker.keep()
+            step = self._add_keyframe(frame_index, frame, track)
+        else:
+            scene = self.keyframes[-1].scene if self.keyframes else None
+            step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
+        T_map_camera = self._map.T_map_track @ track.T_odom_camera
+        return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
+
+    def _begins_segment(self, track: Track) -> bool:
+        """Tell whether the track is found anew; a session's first keyframe begins nothing anew."""
+        return (
+            not track.is_lost
+            and len(self.keyframes) > self.first_keyframe
+            and self.keyframes[-1].segment != track.segment
+        )
+
+    def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
+        unsaved = tuple(self.frames_since_keyframe)
+        verified = self._map.add(frame_index, frame, track.T_odom_camera, segment=track.segment)
+        keyframe = self.keyframes[-1]
+        candidates, admitted = tuple(verified.candidates), tuple(verified.admitted)
+        if self.journal is not None:
+            with self._clock.stage("save"):
+                state = {
+                    "tracker": self._tracker.state(),
+                    "detector": self._map.state(),
+                    "is_around": self._cloud_camera.is_around,
+                }
+                outcome = (candidates, tuple(verified.measured), admitted)
+                self.journal(KeyframeRecord(keyframe, thin(frame), unsaved, *outcome, state))
+        return Step(keyframe, keyframe.scene, admitted, candidates, np.eye(4))

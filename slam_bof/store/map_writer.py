@@ -1,0 +1,64 @@
+"""Writes a map beside the run, so that the run does not wait for the disk."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future, ThreadPoolExecutor
+from types import TracebackType
+from typing import Self
+
+from slam_bof.store.map_store import MapStore
+from slam_bof.types import KeyframeRecord
+
+__all__ = ["MapWriter"]
+
+
+class MapWriter:
+    """Commits keyframes in a thread of its own, one at a time.
+
+    What goes wrong with one is raised when the next comes, or at the end. Others may use the
+    store after ``wait`` and before the next ``write``.
+
+    Examples
+    --------
+    >>> with MapStore.create("map.db") as store, MapWriter(store) as writer:  # doctest: +SKIP
+    ...     closer = LoopCloser.from_preset("indoor", journal=writer.write)
+    """
+
+    def __init__(self, store: MapStore) -> None:
+        self._store = store
+        self._thread = ThreadPoolExecutor(1, "map-writer")
+        self._last: Future[None] | None = None
+
+    def write(self, record: KeyframeRecord) -> None:
+        """Save a keyframe, once the one before it is saved.
+
+        Raises
+        ------
+        MapError
+            If the one before it could not be saved; this one is not saved either.
+        """
+        self.wait()
+        self._last = self._thread.submit(self._store.write, record)
+
+    def wait(self) -> None:
+        """Return when all is saved; ``MapError`` if it could not be."""
+        last, self._last = self._last, None
+        if last is not None:
+            last.result()
+
+    def __enter__(self) -> Self:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Wait for the last keyframe; an error that is under way already goes first."""
+        try:
+            if error is None:
+                self.wait()
+        finally:
+            self._thread.shutdown()

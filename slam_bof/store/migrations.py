@@ -1,0 +1,99 @@
+"""Maps of older versions made into maps of this one."""
+
+from __future__ import annotations
+
+import sqlite3
+
+from slam_bof.store.schema import CHECKED, POSE, SCHEMA_VERSION, SMOOTHED, TABLES, VIEWS
+from slam_bof.store.sqlite import columns, prepare, sign
+
+__all__ = ["UPGRADES", "upgrade"]
+
+_TO_3 = f"""
+{"".join(f"ALTER TABLE keyframes ADD COLUMN {name} {kind};" for name, kind in SMOOTHED.items())}
+CREATE TABLE regions (
+    id INTEGER PRIMARY KEY, label TEXT, probability REAL, n_keyframes INTEGER,
+    center_x REAL, center_y REAL, center_z REAL,
+    low_x REAL, low_y REAL, low_z REAL, high_x REAL, high_y REAL, high_z REAL
+);
+"""
+
+_OLD = ("keyframes", "candidates", "regions", "parameters", "loops")
+
+_TO_4 = f"""
+DROP VIEW keyframe_labels;
+DROP VIEW loop_audit;
+DROP INDEX candidates_by_query;
+DROP INDEX loops_by_query;
+{"".join(f"ALTER TABLE {table} RENAME TO old_{table};" for table in _OLD)}
+{TABLES}
+INSERT INTO parameters (key, value)
+    SELECT key, value FROM old_parameters WHERE key IN ('classes', 'model');
+INSERT INTO sessions (id, dataset, sequence, config, seed, version, is_finished) VALUES (0, 
+    coalesce((SELECT value FROM old_parameters WHERE key = 'dataset'), ''),
+    coalesce((SELECT value FROM old_parameters WHERE key = 'sequence'), ''),
+    coalesce((SELECT value FROM old_parameters WHERE key = 'config'), ''),
+    coalesce((SELECT value FROM old_parameters WHERE key = 'seed'), 0), '', 1);
+"""
+
+_LOOPS_TO_4 = f"""
+UPDATE candidates SET
+    ({", ".join(POSE)}, information, loop_id, admitted_by, decision) =
+    (SELECT {", ".join(POSE)}, information, id, candidates.query_id, 'accepted'
+        FROM old_loops AS l WHERE l.query_id = candidates.query_id
+        AND l.match_id = candidates.match_id AND l.source = candidates.source)
+    WHERE EXISTS (SELECT 1 FROM old_loops AS l WHERE l.query_id = candidates.query_id
+        AND l.match_id = candidates.match_id AND l.source = candidates.source);
+INSERT INTO candidates (query_id, match_id, kind, source, n_consistent, decision, reason,
+        {", ".join(POSE)}, information, loop_id, admitted_by)
+    SELECT query_id, match_id, kind, source, 0, 'accepted', '', {", ".join(POSE)},
+        information, id, query_id
+    FROM old_loops WHERE id NOT IN (SELECT loop_id FROM candidates WHERE loop_id IS NOT NULL);
+DROP TABLE old_loops; DROP TABLE old_candidates; DROP TABLE old_regions;
+DROP TABLE old_keyframes; DROP TABLE old_parameters;
+{VIEWS}
+"""
+
+UPGRADES = (2, 3)
+"""Versions that can be upgraded."""
+
+
+def upgrade(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
+    """Return a map of an older version as one of this: itself, or a copy of it in memory.
+
+    Maps before version 4 kept no depth images: they can be read, but nothing recognises the
+    places in them.
+    """
+    if not in_place:
+        copy = sqlite3.connect(":memory:", isolation_level=None)
+        prepare(copy)
+        db.backup(copy)
+        db.close()
+        db = copy
+    db.execute("PRAGMA foreign_keys = OFF")
+    db.execute("PRAGMA legacy_alter_table = ON")
+    try:
+        db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
+        for table in ("keyframes", "candidates", "regions"):
+            _copy(db, table)
+        for statement in _LOOPS_TO_4.split(";"):
+            db.execute(statement)
+        for table in CHECKED:
+            sign(db, table)
+        db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
+        db.execute("COMMIT")
+    except BaseException:
+        if db.in_transaction:
+            db.execute("ROLLBACK")
+        raise
+    db.execute("PRAGMA legacy_alter_table = OFF")
+    db.execute("PRAGMA foreign_keys = ON")
+    return db
+
+
+def _copy(db: sqlite3.Connection, table: str) -> None:
+    """Copy the rows of an old table into its new form."""
+    shared = [name for name in columns(db, f"old_{table}") if name in columns(db, table)]
+    extra, of_extra = (", session", ", 0") if table == "keyframes" else ("", "")
+    names = ", ".join(shared)
+    db.execute(f"INSERT INTO {table} ({names}{extra}) SELECT {names}{of_extra} FROM old_{table}")

@@ -1,0 +1,5 @@
+"""Tracking: follow the camera beside its odometry, and choose keyframes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

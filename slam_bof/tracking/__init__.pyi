@@ -1,0 +1,9 @@
+from .keyframe_selection import (
+    KeyframeParams as KeyframeParams,
+    KeyframeSelector as KeyframeSelector,
+)
+from .tracker import (
+    Track as Track,
+    Tracker as Tracker,
+    TrackingParams as TrackingParams,
+)

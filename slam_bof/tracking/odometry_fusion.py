@@ -1,0 +1,152 @@
+"""Weigh odometry against alignment with a keyframe by the noise that each shows.
+
+Alignment does not drift but errs anew in each frame, by some mm. Odometry drifts; from frame to
+frame it may err by less than alignment (scan to a fine map) or by far more (scan to a coarse one).
+Three variances tell: of odometry's drift in a step, and of what either errs by anew. They show in
+the differences between the steps of both: the two noises make one difference the opposite of the
+last, drift does not (as in Mehra, IEEE T-AC 1970); and which of the two noises is the greater shows
+in how unsteadily each moves. The correction of the drift then follows a Kalman filter in its steady
+state, and the pose lies between the corrected odometry and the alignment.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from slam_bof.geometry import se3
+from slam_bof.types import Array, Pose
+
+__all__ = ["PoseFusion"]
+
+FORGETTING = 0.05
+"""Weight of the newest frame in what is known of the noise: about a second of a camera."""
+SLIP = 3.0
+"""Differences greater than usual by this are slips of odometry, and alignment is taken."""
+OUTLIER = 5.0
+"""Greater ones than this count as this much in what is usual."""
+N_USUAL = 6
+"""Frames after which it is known what is usual."""
+TINY = 1e-12
+"""Variances, m^2 and rad^2, that are nothing."""
+
+
+class _Visit(NamedTuple):
+    """Poses of a frame, by odometry and by alignment, (4, 4)."""
+
+    T_odometry: Pose
+    T_aligned: Pose
+
+
+class PoseFusion:
+    """Takes each frame's poses by odometry and by alignment, and says where it is."""
+
+    def __init__(self) -> None:
+        self._T_track_odometry: Pose = np.eye(4)
+        self._visits: list[_Visit] = []
+        self._n = 0
+        # Of rotation and of translation, each (2,):
+        self._difference = np.full(2, TINY)  # mean square between the steps of both
+        self._after = np.zeros(2)  # the same, of one and the next
+        self._unsteady = np.zeros(2)  # mean square change of step, of alignment less odometry's
+
+    def restart(self, T_odometry: Pose, T_track: Pose) -> None:
+        """Take a frame's pose (4, 4) for what it is, and odometry's steps from there on."""
+        self._T_track_odometry = _rigid(T_track @ se3.inverse(T_odometry))
+        self._visits = []
+
+    def change_reference(self) -> None:
+        """Frames are aligned with another keyframe from now on, which shifts all of them."""
+        self._visits = []
+
+    def state(self) -> dict[str, Any]:
+        """Return what was learnt so far, as JSON has it; of a frame aligned with a new keyframe."""
+        return {
+            "T_track_odometry": self._T_track_odometry.tolist(),
+            "n": self._n,
+            "difference": self._difference.tolist(),
+            "after": self._after.tolist(),
+            "unsteady": self._unsteady.tolist(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from there."""
+        self._visits = []
+        self._n = state["n"]
+        self._T_track_odometry = np.array(state["T_track_odometry"])
+        self._difference = np.array(state["difference"])
+        self._after = np.array(state["after"])
+        self._unsteady = np.array(state["unsteady"])
+
+    def predict(self, T_odometry: Pose) -> Pose:
+        """Return the pose (4, 4) of a frame as far as odometry tells."""
+        return self._T_track_odometry @ T_odometry
+
+    def fuse(self, T_odometry: Pose, T_aligned: Pose) -> Pose:
+        """Return the pose (4, 4) of a frame that has been aligned too."""
+        self._visits = [*self._visits[-2:], _Visit(T_odometry, T_aligned)]
+        if len(self._visits) == 3:
+            self._learn()
+        T_predicted = self.predict(T_odometry)
+        off = se3.log(se3.inverse(T_predicted) @ T_aligned)
+        of_drift, of_pose = self._gains()
+        # As long as nothing is known, anything is a slip.
+        if (_square(off) > SLIP**2 * self._difference).any():
+            of_drift = of_pose = np.ones(2)
+        T_corrected = T_predicted @ se3.exp(off * of_drift.repeat(3))
+        self._T_track_odometry = _rigid(T_corrected @ se3.inverse(T_odometry))
+        return T_predicted @ se3.exp(off * of_pose.repeat(3))
+
+    def _learn(self) -> None:
+        """Learn from the last two steps."""
+        before, between, now = self._visits
+        odometry = _steps(before.T_odometry, between.T_odometry, now.T_odometry)
+        aligned = _steps(before.T_aligned, between.T_aligned, now.T_aligned)
+        first, second = aligned - odometry
+        unsteady = _square(aligned[1] - aligned[0]) - _square(odometry[1] - odometry[0])
+        self._n += 1
+        is_usual_known = self._n > N_USUAL
+        most = OUTLIER**2 * self._difference if is_usual_known else np.full(2, np.inf)
+        weight = max(FORGETTING, 1.0 / (self._n + 1))
+        squares = 0.5 * (_square(first) + _square(second))
+        difference = np.minimum(squares, most)
+        after = np.clip(_products(first, second), -most, most)
+        unsteady = np.clip(unsteady, -6.0 * most, 6.0 * most)
+        self._difference = self._difference + weight * (difference - self._difference)
+        self._after = self._after + weight * (after - self._after)
+        self._unsteady = self._unsteady + weight * (unsteady - self._unsteady)
+
+    def _gains(self) -> tuple[Array, Array]:
+        """Return how far to go to the alignment, (2,) for the drift and (2,) for the pose.
+
+        With noises a of alignment and b of odometry and drift q a step, mean squares are
+        2 (a + b) + q of differences, -(a + b) of one by the next, and 6 a - (6 b + 2 q) of
+        the changes of step, alignment's less odometry's.
+        """
+        noise = np.maximum(-self._after, TINY)
+        drift = np.maximum(self._difference - 2.0 * noise, 0.0)
+        of_drift = 2.0 / (1.0 + np.sqrt(1.0 + 4.0 * noise / np.maximum(drift, TINY)))
+        of_odometry = 0.5 - (self._unsteady + 2.0 * drift) / (12.0 * noise)
+        of_pose = of_drift + (1.0 - of_drift) * np.clip(of_odometry, 0.0, 1.0)
+        return of_drift, of_pose
+
+
+def _steps(T_a: Pose, T_b: Pose, T_c: Pose) -> Array:
+    """Return the motions (2, 6) from each of three poses to the next."""
+    return se3.log(se3.inverse(np.stack([T_a, T_b])) @ np.stack([T_b, T_c]))
+
+
+def _products(a: Array, b: Array) -> Array:
+    """Return the dot products of two tangents (6,), of their rotations and translations: (2,)."""
+    return np.asarray((a * b).reshape(2, 3).sum(axis=1))
+
+
+def _square(tangent: Array) -> Array:
+    """Return the squares of the lengths of a tangent's rotation and translation, (2,)."""
+    return _products(tangent, tangent)
+
+
+def _rigid(T: Pose) -> Pose:
+    """Return the transform with its rotation a true one, lest rounding adds up."""
+    return se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])

@@ -1,0 +1,111 @@
+"""A comparison of scene labels on one HTML page, and confusion matrices as PNG."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from slam_bof.evaluation import SceneResult, reliability, roc
+from slam_bof.visualization import matrix_images as matrices
+from slam_bof.visualization.html_page import fill, section
+
+__all__ = ["write_comparison"]
+
+COLUMNS = (
+    ("accuracy", "{:.3f}"),
+    ("mean-class accuracy", "{:.3f}"),
+    ("calibration error", "{:.3f}"),
+    ("CPU ms a frame", "{:.1f}"),
+    ("training, CPU s", "{:.1f}"),
+    ("learnt, MB", "{:.2f}"),
+)
+
+
+def write_comparison(
+    folder: Path,
+    results: Sequence[SceneResult],
+    left_out: Mapping[str, str],
+    *,
+    title: str,
+    subtitle: str,
+) -> list[Path]:
+    """Write ``scenes.html``, and ``confusion_METHOD.png`` of every method, into a folder.
+
+    Returns the files, the page first.
+    """
+    from plotly.offline import get_plotlyjs
+
+    folder.mkdir(parents=True, exist_ok=True)
+    said = "".join(f" {name} is left out: {why}." for name, why in left_out.items())
+    body = [section("Methods", f"Trained and tested with the same frames.{said}", _table(results))]
+    body += _figures(results)
+    page = folder / "scenes.html"
+    html = fill(title=title, subtitle=subtitle, body="".join(body), script=get_plotlyjs())
+    page.write_text(html, encoding="utf-8", newline="\n")
+    files = [page]
+    for result in results:
+        scores = result.scores
+        image = matrices.draw_confusion(
+            scores.confusion, scores.classes, title=f"{title}: {result.method}"
+        )
+        files.append(folder / f"confusion_{re.sub('[^a-z0-9-]', '_', result.method)}.png")
+        matrices.write_png(files[-1], image)
+    return files
+
+
+def _figures(results: Sequence[SceneResult]) -> list[str]:
+    from slam_bof.visualization.scene_figures import draw_confusion, draw_reliability, draw_roc
+
+    sections = []
+    bins = {}
+    for number, result in enumerate(results):
+        scores = result.scores
+        curves = roc(result.probabilities, result.true, scores.classes)
+        figures = [_html(draw_confusion(scores.confusion, scores.classes), f"confusion-{number}")]
+        if curves:
+            figures.append(_html(draw_roc(curves), f"roc-{number}"))
+        text = (
+            f"{len(result.true)} test frames. Left: true class (row) and predicted one (column). "
+            "Right: each class against all others, with the area below the curve."
+        )
+        sections.append(section(result.method, text, *figures))
+        right = result.probabilities.argmax(axis=1) == [
+            scores.classes.index(label) for label in result.true
+        ]
+        bins[result.method] = reliability(result.probabilities.max(axis=1), right)
+    text = "On the diagonal, of the labels said to be right with 0.7, 0.7 are right."
+    sections.insert(0, section("Honesty", text, _html(draw_reliability(bins), "reliability")))
+    return sections
+
+
+def _table(results: Sequence[SceneResult]) -> str:
+    head = "".join(f"<td>{escape(name)}</td>" for name, _ in COLUMNS)
+    rows = [f"<tr><th>method</th>{head}</tr>"]
+    for result in results:
+        values = (
+            result.scores.accuracy,
+            result.scores.mean_class_accuracy,
+            result.scores.calibration_error,
+            result.label_ms,
+            result.train_s,
+            1e-6 * result.n_bytes,
+        )
+        cells = (
+            f"<td>{form.format(value)}</td>"
+            for (_, form), value in zip(COLUMNS, values, strict=True)
+        )
+        rows.append(f"<tr><th>{escape(result.method)}</th>{''.join(cells)}</tr>")
+    return f"<table>{''.join(rows)}</table>"
+
+
+def _html(figure: Any, div_id: str) -> str:
+    html: str = figure.to_html(
+        full_html=False,
+        include_plotlyjs=False,
+        div_id=div_id,
+        config={"displayModeBar": False, "responsive": True},
+    )
+    return html

@@ -1,0 +1,297 @@
+"""The command line as its user meets it: answers, JSON, and mistakes in one line."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from conftest import CAMERA, box_room_depth_mm
+from typer.testing import CliRunner, Result
+
+from slam_bof.bof import PlaceParams
+from slam_bof.cli import app
+from slam_bof.geometry import se3
+from slam_bof.scenes import TrainingFrame, model, train_model
+from slam_bof.types import DepthFrame
+
+N_FRAMES = 6
+
+
+def slam_bof(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+
+
+def refusal(*arguments: object) -> str:
+    """What a command says that the user's mistake stopped: one line and exit code 1."""
+    result = slam_bof(*arguments)
+    assert result.exit_code == 1, result.output
+    assert result.stdout == ""
+    *_, last = result.stderr.splitlines()
+    assert last.startswith("error: ")
+    return last
+
+
+def in_process(*arguments: object, **kwargs: object) -> subprocess.Popen[str]:
+    code = "from slam_bof.cli import main; main()"
+    return subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **kwargs,
+    )
+
+
+@pytest.fixture(scope="session")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A sequence in 7-Scenes layout: a slow turn in a box room."""
+    folder = tmp_path_factory.mktemp("scenes") / "box" / "seq-01"
+    folder.mkdir(parents=True)
+    for number in range(N_FRAMES):
+        T_world_camera = se3.exp(np.array([0, 0.05 * number, 0, 0.02 * number, 0, 0]))
+        depth = box_room_depth_mm(CAMERA, T_world_camera)
+        cv2.imwrite(str(folder / f"frame-{number:06d}.depth.png"), depth)
+        np.savetxt(folder / f"frame-{number:06d}.pose.txt", T_world_camera)
+    rows = "".join(f"{number},box\n" for number in range(N_FRAMES))
+    (folder / "scenes.csv").write_text(f"frame,scene\n{rows}")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def model_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model that has seen a few views of a box room."""
+    frames = []
+    for i in range(6):
+        T = se3.exp(np.array([0.1 * i, 0.4 * i, 0, 0.1 * i, 0, 0]))
+        frames.append(TrainingFrame(DepthFrame(float(i), box_room_depth_mm(CAMERA, T), CAMERA)))
+    path = tmp_path_factory.mktemp("model") / "tiny.bof"
+    model.save(train_model(frames, PlaceParams(), n_words=8, trained_on="a box room"), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def finished(room: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished run over the box room."""
+    out = tmp_path_factory.mktemp("runs")
+    every = ("--set", "keyframes.policy=every", "--set", "keyframes.every=2")
+    result = slam_bof("run", room, "--out", out, "--model", model_file, *every, "--json", "--quiet")
+    assert result.exit_code == 0, result.output
+    assert result.stderr == ""
+    said = json.loads(result.stdout)
+    assert said["n_frames"] == N_FRAMES
+    assert said["sequence"] == "box/seq-01"
+    assert said["folder"] == str((out / "latest").resolve())
+    return Path(said["folder"])
+
+
+# What a run leaves, asked by the other commands
+
+
+def test_run_prints_a_table_and_says_where_the_files_are(
+    room: Path, model_file: Path, tmp_path: Path
+) -> None:
+    result = slam_bof("run", room, "-o", tmp_path, "--model", model_file, "--max-frames", 3)
+    assert result.exit_code == 0, result.output
+    assert "ATE after loops" in result.stdout
+    assert f"Files: {(tmp_path / 'latest').resolve()}" in result.stdout
+    assert "box/seq-01: 3/3" in result.stderr, "progress without a terminal"
+
+
+def test_options_outrank_the_configuration(
+    room: Path, model_file: Path, finished: Path, tmp_path: Path
+) -> None:
+    written = yaml.safe_load((finished / "config.yaml").read_text())
+    assert written["model"] == str(model_file)
+    assert written["keyframes"]["every"] == 2
+    result = slam_bof(
+        "run", room, "-o", tmp_path, "-c", finished / "config.yaml", "--seed", 5, "--quiet"
+    )
+    assert result.exit_code == 0, result.output
+    again = yaml.safe_load((tmp_path / "latest" / "config.yaml").read_text())
+    assert again == {**written, "seed": 5}
+
+
+def test_query_answers_in_tables_and_json(finished: Path) -> None:
+    result = slam_bof("query", finished, "--json")
+    found = json.loads(result.stdout)
+    assert [record["id"] for record in found] == [0, 1, 2]
+    assert [record["frame_index"] for record in found] == [0, 2, 4]
+    assert len(json.loads(slam_bof("query", finished, "--limit", 1, "--json").stdout)) == 1
+    (nearest,) = json.loads(
+        slam_bof("query", finished / "map.db", "--time", 0.07, "--limit", 1, "--json").stdout
+    )
+    assert nearest["id"] == 1
+    place = ",".join(map(str, found[2]["translation_m"]))
+    (nearest,) = json.loads(
+        slam_bof("query", finished, "--near", place, "--limit", 1, "--json").stdout
+    )
+    assert (nearest["id"], nearest["distance_m"]) == (2, 0.0)
+    table = slam_bof("query", finished)
+    assert table.exit_code == 0
+    assert len([line for line in table.stdout.splitlines() if "│" in line]) == 3
+    assert json.loads(slam_bof("query", finished, "--loops", "--json").stdout) == []
+
+
+def test_query_explains_mistakes(finished: Path, tmp_path: Path) -> None:
+    assert "found no keyframe 77, expected one of its 3" in refusal(
+        "query", finished, "--keyframe", 77
+    )
+    assert "found no scene 'moon'" in refusal("query", finished, "--scene", "moon")
+    assert "--near: found '1,2', expected X Y Z" in refusal("query", finished, "--near", "1,2")
+    assert "--near: found '1,2', expected X Y Z" in refusal("query", finished, "--near", 1, 2)
+    assert "--near: found '1,nan,2', expected" in refusal("query", finished, "--near", "1,nan,2")
+    assert "--model: found without a depth image" in refusal("query", finished, "--model", "m")
+    assert "--near: found 'here', expected" in refusal("query", finished, "--near", "here")
+    assert "expected a map.db" in refusal("query", tmp_path)
+    (tmp_path / "map.db").write_text("not a database, but long enough to look at" * 20)
+    assert "map.db: found no SQLite database" in refusal("query", tmp_path)
+
+
+def test_report_is_written_again(finished: Path, tmp_path: Path) -> None:
+    page = tmp_path / "again.html"
+    result = slam_bof("report", finished, "--out", page, "--json")
+    assert json.loads(result.stdout) == {"report": str(page)}
+    assert "<html" in page.read_text(encoding="utf-8")[:500].lower()
+    assert "found no metrics.json there, expected the folder of a finished run" in refusal(
+        "report", tmp_path
+    )
+    assert "found no such folder" in refusal("report", tmp_path / "none")
+    assert "again.html/x.html: " in refusal("report", finished, "-o", page / "x.html")
+
+
+@pytest.mark.parametrize(("kind", "columns"), [("tum", 8), ("kitti", 12)])
+def test_export_writes_poses(finished: Path, tmp_path: Path, kind: str, columns: int) -> None:
+    file = tmp_path / "poses.txt"
+    result = slam_bof("export", finished, "-o", file, "--format", kind, "--json")
+    assert json.loads(result.stdout) == {"file": str(file), "format": kind, "n_keyframes": 3}
+    assert np.loadtxt(file).shape == (3, columns)
+
+
+def test_export_writes_labels(finished: Path, tmp_path: Path) -> None:
+    file = tmp_path / "labels.csv"
+    assert slam_bof("export", finished, "-o", file, "--format", "csv").exit_code == 0
+    header, *rows = file.read_text().splitlines()
+    assert header.startswith("id,frame_index,stamp_s,scene,probability,tx,")
+    assert [row.split(",")[1] for row in rows] == ["0", "2", "4"]
+
+
+# Mistakes
+
+
+def test_usage_errors_exit_with_2() -> None:
+    for arguments in (["bogus"], ["run"], ["run", "x", "--max-frames", 0], ["query", "x", "--z"]):
+        assert slam_bof(*arguments).exit_code == 2, arguments
+
+
+@pytest.fixture
+def attempt(room: Path, model_file: Path, tmp_path: Path) -> Iterator[list[object]]:
+    """Arguments of a run that would work; what a test adds spoils it, and nothing is written."""
+    out = tmp_path / "runs"
+    yield ["run", room, "--out", out, "--model", model_file]
+    assert not out.exists() or list(out.iterdir()) == []
+
+
+def test_sequences_that_are_none(tmp_path: Path, room: Path) -> None:
+    assert "none: found nothing, expected the folder of a sequence" in refusal(
+        "run", tmp_path / "none"
+    )
+    assert "found a file, expected the folder" in refusal("run", room / "scenes.csv")
+    assert "found no known layout, expected one of: 7scenes" in refusal("run", tmp_path)
+    assert "expected 7-Scenes layout" in refusal("run", tmp_path, "--dataset", "7scenes")
+    assert "no datasets plug-in 'kitti'; installed: " in refusal("run", room, "--dataset", "kitti")
+
+
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        (["--config", "indor"], "no preset 'indor'; did you mean 'indoor'?"),
+        (["--config", "none.yaml"], "none.yaml: no such file"),
+        (["--set", "loops.topk=3"], "unknown key 'loops.topk'; did you mean 'top_k'?"),
+        (["--set", "odometry=magic"], "no odometry plug-in 'magic'; installed: genz-icp, kiss-icp"),
+        (["--set", "verifier=magic"], "no verifiers plug-in 'magic'"),
+        (["--set", "odometry.options.voxel_m=1"], "unknown key 'voxel_m'"),
+        (["--set", "backend.options.cauchy=-1"], "key 'cauchy': found -1"),
+        (["--model", "none.bof"], "none.bof: no such model file"),
+    ],
+)
+def test_parameters_that_are_wrong(attempt: list[object], extra: list[str], message: str) -> None:
+    assert message in refusal(*attempt, *extra)
+
+
+def test_a_model_of_another_kind(attempt: list[object], tmp_path: Path) -> None:
+    other = tmp_path / "other.bof"
+    other.write_bytes(b"not a model")
+    assert "other.bof: not a model file" in refusal(*attempt, "--model", other)
+
+
+def test_a_place_that_cannot_be_written(attempt: list[object], room: Path) -> None:
+    file = room / "scenes.csv"
+    assert f"{file}" in refusal(*attempt, "--out", file)
+    assert f"{file}" in refusal(*attempt, "--out", file / "runs")
+
+
+def test_poses_that_are_none(room: Path, tmp_path: Path) -> None:
+    sequence = tmp_path / "seq-01"
+    sequence.mkdir()
+    for file in room.iterdir():
+        (sequence / file.name).write_bytes(file.read_bytes())
+    (sequence / "frame-000003.pose.txt").write_text("nan " * 16)
+    assert "frame-000003.pose.txt: found NaN or infinity" in refusal("run", sequence)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs resource limits")
+def test_a_full_disk_is_one_line_and_keeps_what_was_written(
+    room: Path, model_file: Path, tmp_path: Path
+) -> None:
+    """A limit on the size of files stands for the full disk: writes fail half-way for real."""
+
+    def limit() -> None:
+        import resource
+
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    process = in_process(
+        "run", room, "-o", tmp_path, "--model", model_file, "--quiet", preexec_fn=limit
+    )
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 1, err
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1, err
+    assert str(tmp_path) in err
+    (folder,) = (path for path in tmp_path.iterdir() if not path.is_symlink())
+    assert (folder / "config.yaml").stat().st_size > 0
+
+
+@pytest.mark.skipif(os.name != "posix", reason="sends SIGINT")
+def test_interrupting_leaves_a_readable_map(room: Path, model_file: Path, tmp_path: Path) -> None:
+    sequence = tmp_path / "long" / "seq-01"
+    sequence.mkdir(parents=True)
+    for number in range(3000):
+        (sequence / f"frame-{number:06d}.depth.png").symlink_to(
+            room / f"frame-{number % N_FRAMES:06d}.depth.png"
+        )
+    out = tmp_path / "runs"
+    process = in_process("run", sequence, "-o", out, "--model", model_file, "--quiet")
+    deadline = time.monotonic() + 60
+    map_file = out / "latest" / "map.db"
+    while process.poll() is None and time.monotonic() < deadline:
+        if map_file.exists() and json.loads(slam_bof("query", map_file, "--json").stdout or "[]"):
+            break
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err == "error: interrupted; what was written stays\n"
+    assert json.loads(slam_bof("query", map_file, "--json").stdout)

@@ -1,0 +1,165 @@
+"""``slam-bof query`` about labels, rooms and single depth images."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import CAMERA, box_room_depth_mm
+from saved_maps import save
+from test_cli import refusal, slam_bof
+
+from slam_bof.bof import PlaceParams
+from slam_bof.geometry import se3
+from slam_bof.scenes import Region, TrainingFrame, model, train_model
+from slam_bof.store import MapStore, SessionResult
+from slam_bof.types import Bag, DepthFrame, Keyframe, Scene
+
+CLASSES = ("kitchen", "office")
+
+
+@pytest.fixture
+def labelled(tmp_path: Path) -> Path:
+    """The folder of a map of four keyframes along x: a slip in a kitchen, then an office."""
+    own, smoothed = [0.9, 0.3, 0.8, 0.2], [0.9, 0.8, 0.8, 0.3]
+    scenes = {
+        name: [Scene(CLASSES[p < 0.5], max(p, 1 - p), CLASSES, np.array([p, 1 - p])) for p in ps]
+        for name, ps in (("own", own), ("smoothed", smoothed))
+    }
+    with MapStore.create(tmp_path / "map.db") as store:
+        for k, scene in enumerate(scenes["own"]):
+            T = se3.pose(np.eye(3), [k, -1.0, 0.0])
+            bag = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+            save(store, Keyframe(k, 10 * k, k / 2, T, bag, scene), n_frames=1)
+        rooms = [
+            Region(0, "kitchen", 0.8, (0, 1, 2), (1.0, -1.0, 0.0), (0.0, -1, 0), (2.0, -1, 0)),
+            Region(1, "office", 0.7, (3,), *((3.0, -1.0, 0.0),) * 3),
+        ]
+        poses = np.array([k.T_odom_camera for k in store.keyframes()])
+        store.finish(0, SessionResult([], poses, scenes["smoothed"], rooms))
+    return tmp_path
+
+
+def found(*arguments: object) -> list[dict]:
+    result = slam_bof("query", *arguments, "--json")
+    assert result.exit_code == 0, result.output
+    return json.loads(result.stdout)
+
+
+def test_where_is_the_kitchen(labelled: Path) -> None:
+    (kitchen,) = found(labelled, "--regions", "--scene", "kitchen")
+    assert kitchen["keyframe_ids"] == [0, 1, 2]
+    assert kitchen["center_m"] == [1.0, -1.0, 0.0]
+    assert kitchen["size_m"] == [2.0, 0.0, 0.0]
+    table = slam_bof("query", labelled, "--scene", "kitchen").stdout
+    assert "Rooms" in table
+    assert len([line for line in table.splitlines() if "│" in line]) == 1 + 3
+
+
+def test_labels_are_smoothed_or_raw(labelled: Path) -> None:
+    assert [r["id"] for r in found(labelled, "--scene", "kitchen")] == [0, 1, 2]
+    assert [r["id"] for r in found(labelled, "--scene", "kitchen", "--labels", "raw")] == [0, 2]
+    (slip,) = found(labelled, "--keyframe", 1)
+    assert (slip["scene"], slip["smoothed"], slip["region"]) == ("office", "kitchen", 0)
+    assert [r["id"] for r in found(labelled, "--min-probability", 0.85)] == [0]
+
+
+def test_numbers_of_a_place_come_with_spaces_or_commas(labelled: Path) -> None:
+    for near in ([2.1, -1, 0], ["2.1,-1,0"], ["2.1, -1 0"]):
+        assert [r["id"] for r in found(labelled, "--near", *near, "--limit", 2)] == [2, 3]
+
+
+def test_csv_has_a_row_for_each_and_all_there_is(labelled: Path) -> None:
+    result = slam_bof("query", labelled, "--format", "csv")
+    rows = list(csv.DictReader(io.StringIO(result.stdout)))
+    assert [row["smoothed"] for row in rows] == ["kitchen"] * 3 + ["office"]
+    assert float(rows[1]["probability_office"]) == 0.7
+    assert float(rows[3]["translation_m_0"]) == 3.0
+    nothing = slam_bof("query", labelled, "--min-probability", 1, "--format", "csv")
+    assert nothing.stdout.startswith("id,frame_index,stamp_s")
+    assert len(nothing.stdout.splitlines()) == 1
+    rooms = slam_bof("query", labelled, "--regions", "--format", "csv").stdout
+    assert rooms.splitlines()[1].split(",")[:4] == ["0", "kitchen", "0.8", "0 1 2"]
+
+
+@pytest.fixture(scope="module")
+def two_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model that tells narrow boxes from wide ones, and a wide one as an image."""
+    frames = []
+    for i in range(12):
+        T = se3.exp(np.array([0, 0.3 * i, 0, 0.05 * i, 0, 0]))
+        label = ("narrow", "wide")[i % 2]
+        half_size_m = (2.0, 1.5, 3.0) if i % 2 else (0.7, 1.2, 3.0)
+        depth = box_room_depth_mm(CAMERA, T, half_size_m)
+        frames.append(TrainingFrame(DepthFrame(float(i), depth, CAMERA), label, str(i)))
+    folder = tmp_path_factory.mktemp("two")
+    trained = train_model(frames, PlaceParams(), n_words=8, trained_on="boxes", levelled=False)
+    model.save(trained, folder / "two.bof")
+    cv2.imwrite(str(folder / "wide.png"), box_room_depth_mm(CAMERA, np.eye(4), (2.0, 1.5, 3.0)))
+    return folder
+
+
+def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path) -> None:
+    image, trained = two_kinds / "wide.png", two_kinds / "two.bof"
+    answer = json.loads(slam_bof("query", image, "--model", trained, "--json").stdout)
+    assert set(answer["probabilities"]) == {"narrow", "wide"}
+    assert answer["label"] == max(answer["probabilities"], key=answer["probabilities"].get)
+    assert sum(answer["probabilities"].values()) == pytest.approx(1.0)
+    assert answer["intrinsics"]["fx"] == 146.25
+    assert answer["intrinsics_from"].startswith("assumed, a Kinect's; found no intrinsics.json")
+    table = slam_bof("query", image, "--model", trained).stdout
+    assert "(intrinsics 146.25 146.25 80 60: assumed" in table
+
+    given = ("--intrinsics", 200, 201, 80, 60)
+    answer = json.loads(slam_bof("query", image, "--model", trained, *given, "--json").stdout)
+    assert (answer["intrinsics"]["fy"], answer["intrinsics_from"]) == (201.0, "as given")
+    beside = tmp_path / "wide.png"
+    beside.write_bytes(image.read_bytes())
+    camera = {"width": 160, "height": 120, "fx": 150, "fy": 150, "cx": 80, "cy": 60}
+    (tmp_path / "intrinsics.json").write_text(json.dumps(camera))
+    answer = json.loads(slam_bof("query", beside, "--model", trained, "--json").stdout)
+    assert answer["intrinsics"]["fx"] == 150.0
+    assert answer["intrinsics_from"] == f"from {tmp_path / 'intrinsics.json'}"
+
+
+def test_too_little_is_unknown(two_kinds: Path) -> None:
+    ask = ("query", two_kinds / "wide.png", "--model", two_kinds / "two.bof", "--json")
+    answer = json.loads(slam_bof(*ask, "--min-probability", 1.0).stdout)
+    assert answer["label"] == "unknown"
+
+
+def test_units_of_the_image_can_be_given(two_kinds: Path, tmp_path: Path) -> None:
+    depth = cv2.imread(str(two_kinds / "wide.png"), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(tmp_path / "fifths.png"), 5 * depth)
+    np.save(tmp_path / "metres.npy", (depth / 1000.0).astype(np.float32))
+    trained = ("--model", two_kinds / "two.bof", "--json")
+    expected = json.loads(slam_bof("query", two_kinds / "wide.png", *trained).stdout)
+    for name, extra in (("fifths.png", ("--depth-scale", 5000)), ("metres.npy", ())):
+        answer = json.loads(slam_bof("query", tmp_path / name, *trained, *extra).stdout)
+        assert answer["probabilities"] == pytest.approx(expected["probabilities"], abs=0.02), name
+
+
+def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
+    trained = ("--model", two_kinds / "two.bof")
+    assert "none.png: found no such file" in refusal("query", tmp_path / "none.png", *trained)
+    cv2.imwrite(str(tmp_path / "color.png"), np.zeros((4, 5, 3), np.uint8))
+    assert "found an image 4x5x3 of uint8, expected one channel of uint16" in refusal(
+        "query", tmp_path / "color.png", *trained
+    )
+    (tmp_path / "text.png").write_text("not an image")
+    assert "found no image that can be read" in refusal("query", tmp_path / "text.png", *trained)
+    image = two_kinds / "wide.png"
+    assert "--intrinsics: found '1,2', expected FX FY CX CY in pixels" in refusal(
+        "query", image, *trained, "--intrinsics", 1, 2
+    )
+    assert "--time: found without a map" in refusal("query", image, *trained, "--time", 1)
+    assert "none.bof: no such model file" in refusal("query", image, "--model", "none.bof")
+    other = tmp_path / "image.png"
+    other.write_bytes(image.read_bytes())
+    (tmp_path / "intrinsics.json").write_text('{"width": 1}')
+    assert "expected JSON with width, height" in refusal("query", other, *trained)

@@ -1,0 +1,149 @@
+"""``slam-bof train`` and ``evaluate scenes`` as their users meet them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+from test_cli import refusal, slam_bof
+from test_scene_protocols import SIZES_M, write_box
+
+from slam_bof.scenes import model
+
+QUICK = ("--words", 8, "--quiet")
+BAGS = ("--descriptor", "bof")
+"""The network on levelled views takes a quarter of a minute to learn, however little there is."""
+
+
+@pytest.fixture(scope="module")
+def boxes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three classes of boxes, a sequence each with 20 frames; and a tour of two, with labels."""
+    root = tmp_path_factory.mktemp("boxes")
+    for label in SIZES_M:
+        write_box(root / label / "seq-01", label, 20)
+    for day in ("monday", "tuesday"):
+        write_box(root / day / "seq-01", "hall", 10, turned=0.03 * len(day))
+        rows = "".join(f"{k},{'left' if k % 2 else 'right'}\n" for k in range(10))
+        (root / day / "seq-01" / "scenes.csv").write_text(f"frame,scene\n{rows}")
+    return root
+
+
+def labels(boxes: Path) -> list[str]:
+    return [word for label in SIZES_M for word in ("--label", f"{label}={boxes / label}")]
+
+
+def test_train_writes_a_model_and_tells_how_good_it_is(boxes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "boxes.bof"
+    result = slam_bof("train", *labels(boxes), "-o", out, *BAGS, *QUICK, "--json")
+    assert result.exit_code == 0, result.output
+    said = json.loads(result.stdout)
+    assert said["model"] == str(out)
+    assert said["classes"] == sorted(SIZES_M)
+    assert [c["label"] for c in said["by_class"]] == sorted(SIZES_M)
+    assert said["n_checked"] == 3 * 8
+    assert said["accuracy"] > 0.5
+    trained = model.load(out)
+    assert trained.content_hash == said["content_sha256"]
+    assert "hall/seq-01 (hall)" in trained.trained_on
+    again = tmp_path / "again.bof"
+    assert slam_bof("train", *labels(boxes), "-o", again, *BAGS, *QUICK).exit_code == 0
+    assert again.read_bytes() == out.read_bytes()
+    assert list(out.parent.iterdir()) == [out]
+
+
+def test_train_searches_and_prints(boxes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "boxes.bof"
+    result = slam_bof("train", *labels(boxes), "-o", out, "--words", 8, "--grid-search")
+    assert result.exit_code == 0, result.output
+    assert result.stdout.startswith("Grid search: svm-")
+    assert "precision" in result.stdout
+    assert f"Model: {out}" in result.stdout
+    assert "Describing: 60/60" in result.stderr
+    assert "Training: 3/3" in result.stderr
+
+
+def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path: Path) -> None:
+    table = tmp_path / "labels.csv"
+    table.write_text("".join(f"{boxes / label}/seq-01,{label}\n" for label in SIZES_M))
+    out = tmp_path / "boxes.bof"
+    arguments = ("--csv", table, "--classifier", "naive-bayes", "--layers", 3, "--no-check")
+    result = slam_bof("train", *arguments, "-o", out, *QUICK, "--json")
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["n_checked"] == 0
+    trained = model.load(out)
+    assert trained.places.layers.n_layers == 3
+    assert trained.scenes.machine == "naive-bayes"
+    assert trained.levels is None
+    picture = next((boxes / "hall" / "seq-01").glob("*.png"))
+    answer = slam_bof("query", picture, "--model", out, "--json")
+    assert set(json.loads(answer.stdout)["probabilities"]) == set(SIZES_M)
+
+
+def test_training_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
+    out = ("-o", tmp_path / "x.bof", "--quiet")
+    hall = ("--label", f"hall={boxes / 'hall'}")
+    assert "found neither --label nor --csv" in refusal("train", *out)
+    assert "'hall', expected NAME=PATH" in refusal("train", *out, "--label", "hall")
+    assert "found nothing" in refusal("train", *out, "--label", f"hall={tmp_path / 'none'}")
+    assert "found classes to train with: hall; expected at least two" in refusal(
+        "train", *out, *hall
+    )
+    assert "--descriptor levelled: found with --classifier, expected bof" in refusal(
+        "train", *out, *hall, "--descriptor", "levelled", "--classifier", "knn"
+    )
+    assert "--descriptor: found 'bof-layers', expected levelled or bof" in refusal(
+        "train", *out, *hall, "--descriptor", "bof-layers", "--classifier", "mlp"
+    )
+    assert "--grid-search: found with --classifier knn" in refusal(
+        "train", *out, *hall, "--grid-search", "--classifier", "knn"
+    )
+    assert "n_words must be at most" in refusal("train", *out, *labels(boxes), "--words", 100_000)
+    assert "found a folder, expected the name of a file" in refusal(
+        "train", *labels(boxes), "-o", tmp_path, "--quiet"
+    )
+    assert slam_bof("train", *hall, "-o", "x.bof", "--classifier", "magic").exit_code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("protocol", ["holdout", "time-split"])
+def test_evaluate_scenes_prints_tables_and_writes_pictures(
+    boxes: Path, tmp_path: Path, protocol: str
+) -> None:
+    arguments = ("--protocol", protocol, "--methods", "bof,thumbnail,sift,bof:knn", *QUICK)
+    result = slam_bof("evaluate", "scenes", *labels(boxes), *arguments, "-o", tmp_path)
+    assert result.exit_code == 0, result.output
+    assert "Share of each class found" in result.stdout
+    assert "sift is left out: no colour images" in result.stdout
+    assert (tmp_path / "scenes.html").is_file()
+    assert cv2.imread(str(tmp_path / "confusion_bof.png")) is not None
+    assert cv2.imread(str(tmp_path / "confusion_bof_knn.png")) is not None
+
+
+def test_one_day_and_another(boxes: Path) -> None:
+    days = ("--train", boxes / "monday", "--test", boxes / "tuesday")
+    tour = ("--protocol", "tour", "--methods", "thumbnail", "--json", "--quiet")
+    said = json.loads(slam_bof("evaluate", "scenes", *tour, *days).stdout)
+    assert (said["n_train"], said["n_test"], said["classes"]) == (10, 10, ["left", "right"])
+    assert set(said["methods"]["thumbnail"]["auc"]) == {"left", "right"}
+    named = ("--label", f"left={boxes / 'hall'}", "--label", f"right={boxes / 'office'}")
+    more = ("--test", f"left={boxes / 'monday'}")
+    said = json.loads(slam_bof("evaluate", "scenes", *tour, *named, *more).stdout)
+    assert (said["n_train"], said["n_test"]) == (40, 10)
+
+
+def test_evaluation_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
+    def said(protocol: str, *arguments: object) -> str:
+        return refusal("evaluate", "scenes", "--protocol", protocol, "--quiet", *arguments)
+
+    assert "--protocol holdout: found no --csv or --label" in said("holdout")
+    assert "--protocol synthetic: found --data, expected none" in said("synthetic", "--data", "x")
+    assert "found no --csv or --label or --train and --test" in said("tour", "--train", "x")
+    assert "TrainSplit.txt: found no such file" in said("unseen", *labels(boxes))
+    assert "x: found nothing" in said("sunrgbd", "--data", "x")
+    assert "no descriptors plug-in 'magic'" in said("holdout", *labels(boxes), "--methods", "magic")
+    assert "found no classifier 'magic', expected one of svm-linear" in said(
+        "holdout", *labels(boxes), "--methods", "bof:magic"
+    )
+    assert slam_bof("evaluate", "scenes", "--protocol", "magic").exit_code == 2

@@ -1,0 +1,110 @@
+import numpy as np
+import pytest
+from conftest import CAMERA, box_room_depth_mm
+
+from slam_bof.geometry import in_steps, make_view, thicken, thin, view_points
+from slam_bof.geometry.depth_view import surface_normals
+from slam_bof.types import DepthFrame, Intrinsics
+
+
+def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T[:3, 3] = [*standpoint, 1.3]
+    frame = look(T, 0)
+    view, points_camera = make_view(frame), view_points(frame)
+    assert (view.intrinsics.width, view.intrinsics.height) == (80, 60)
+    np.testing.assert_array_equal(view.depth_m, frame.depth_m(8))
+    assert len(points_camera) == np.count_nonzero(frame.depth_m(4))
+    x, y, z = points_camera.T
+    camera = frame.intrinsics
+    columns, rows = x / z * camera.fx + camera.cx, y / z * camera.fy + camera.cy
+    np.testing.assert_allclose(columns / 4, np.rint(columns / 4), atol=1e-3)
+    np.testing.assert_allclose(rows / 4, np.rint(rows / 4), atol=1e-3)
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 60), (161, 121), (424, 240), (1280, 720)])
+def test_other_image_sizes_become_about_as_small(width, height):
+    camera = Intrinsics(width, height, width * 0.9, width * 0.9, width / 2, height / 2)
+    frame = DepthFrame(0.0, np.full((height, width), 2.0, np.float32), camera)
+    view, points_camera = make_view(frame), view_points(frame)
+    assert view.depth_m.shape == (view.intrinsics.height, view.intrinsics.width)
+    assert 40 <= view.intrinsics.width <= 110
+    across = points_camera[:, 0].max() - points_camera[:, 0].min()
+    assert across == pytest.approx(2.0 / 0.9, rel=0.05)
+
+
+def test_depths_out_of_range_are_dropped():
+    camera = Intrinsics(80, 60, 70.0, 70.0, 40.0, 30.0)
+    depth = np.full((60, 80), 9.0, np.float32)
+    depth[:30] = 0.05
+    frame = DepthFrame(0.0, depth, camera)
+    view, points_camera = make_view(frame), view_points(frame)
+    assert not view.depth_m.any()
+    assert not view.normals_camera.any()
+    assert points_camera.shape == (0, 3)
+
+
+def test_normals_of_a_box_room_are_those_of_its_walls():
+    depth = box_room_depth_mm(CAMERA, np.eye(4), (1.0, 0.8, 3.0))
+    view = make_view(DepthFrame(0.0, depth, CAMERA))
+    normals = view.normals_camera
+    np.testing.assert_allclose(normals[30, 40], [0, 0, -1], atol=0.02)  # the wall ahead
+    np.testing.assert_allclose(normals[55, 40], [0, -1, 0], atol=0.02)  # the floor; y is down
+    np.testing.assert_allclose(normals[30, 3], [1, 0, 0], atol=0.02)  # the wall to the left
+    lengths = np.linalg.norm(normals, axis=-1)
+    assert np.isclose(lengths[lengths > 0], 1.0, atol=1e-5).all()
+
+
+def test_normals_are_not_taken_over_edges_and_holes():
+    x, y = np.meshgrid(np.arange(9.0) / 50, np.arange(7.0) / 50)
+    z = np.where(x < 0.09, 1.0, 2.0)
+    z[3, 2] = 0.0
+    points = (np.dstack([x, y, np.ones_like(x)]) * z[..., None]).astype(np.float32)
+    known = surface_normals(points).any(axis=-1)
+    assert not known[:, 4:6].any()  # either side of the step
+    assert not known[2:5, 1:4][[0, 1, 1, 1, 2], [1, 0, 1, 2, 1]].any()  # the hole and beside it
+    assert known[1, 1:4].all()
+    assert not known[0].any()
+    assert not known[:, 0].any()
+
+
+def test_one_view_serves_all_who_look_at_a_frame(look):
+    frame, other = look(np.eye(4), 0), look(np.eye(4), 1)
+    view = make_view(frame)
+    assert make_view(frame) is view
+    assert make_view(other) is not view
+    with pytest.raises(ValueError, match="read-only"):
+        view.depth_m[0, 0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        view.normals_camera[0, 0] = 1.0
+
+
+@pytest.mark.parametrize("size", [(640, 480), (848, 480), (320, 240), (200, 150)])
+@pytest.mark.parametrize("metres", [False, True])
+def test_what_the_map_keeps_of_a_frame_makes_the_same_view(size, metres):
+    width, height = size
+    rng = np.random.default_rng(0)
+    depth = rng.integers(0, 9000, (height, width)).astype(np.uint16)
+    depth[rng.random(depth.shape) < 0.1] = 65535
+    camera = Intrinsics(width, height, 500.3, 499.1, width / 2.1, height / 1.9)
+    given = np.float32(0.0007) + depth / np.float32(997.0) if metres else depth
+    frame = in_steps(DepthFrame(1.0, given, camera))
+    kept = thin(frame)
+    back = thicken(kept, 1.0)
+    assert kept.depth.size <= 200 * 150
+    for ours, theirs in (
+        (make_view(back).depth_m, make_view(frame).depth_m),
+        (make_view(back).normals_camera, make_view(frame).normals_camera),
+        (view_points(back), view_points(frame)),
+    ):
+        np.testing.assert_array_equal(ours, theirs)
+    np.testing.assert_array_equal(thin(in_steps(back)).depth, kept.depth)
+
+
+def test_depths_in_metres_are_rounded_by_a_sixteenth_of_a_millimetre_at_most():
+    depth = np.random.default_rng(0).uniform(0.1, 8.0, (48, 64)).astype(np.float32)
+    depth[0, :3] = np.nan, np.inf, -1.0
+    rounded = in_steps(DepthFrame(0.0, depth, Intrinsics(64, 48, 50, 50, 32, 24)))
+    np.testing.assert_allclose(rounded.depth_m()[1:], depth[1:], rtol=0, atol=6.3e-5)
+    assert not rounded.depth_m()[0, :3].any()

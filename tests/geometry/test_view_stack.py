@@ -1,0 +1,82 @@
+import numpy as np
+import pytest
+
+from slam_bof.geometry import View, se3
+from slam_bof.geometry.depth_view import surface_normals
+from slam_bof.geometry.view_stack import ViewStack
+from slam_bof.types import Intrinsics
+
+CAMERA = Intrinsics(8, 6, 7.0, 7.0, 3.6, 2.4)
+
+
+def wall(depth_m):
+    """A wall square to the view; the last column is unknown."""
+    depth = np.full((CAMERA.height, CAMERA.width), depth_m, np.float32)
+    depth[:, -1] = 0.0
+    view = View(depth, np.zeros((*depth.shape, 3), np.float32), CAMERA)
+    return View(depth, surface_normals(view.rays() * depth[..., None]), CAMERA)
+
+
+@pytest.fixture
+def views():
+    views = ViewStack(30)
+    for depth_m in (2.0, 3.0):
+        views.add(wall(depth_m))
+    return views
+
+
+def poses(*tangents):
+    return se3.exp(np.array(tangents, np.float64)).astype(np.float32)
+
+
+STAND = [0, 0, 0, 0, 0, 0]
+
+
+def test_a_view_s_points_fall_on_their_own_pixels(views):
+    fallen = views.fall(views.points_camera(0), poses(STAND))
+    row, column = np.divmod(np.arange(CAMERA.height * CAMERA.width), CAMERA.width)
+    known = column < CAMERA.width - 1
+    np.testing.assert_array_equal(fallen.column[0], column[known])
+    np.testing.assert_array_equal(fallen.row[0], row[known])
+    assert fallen.inside.all()
+    np.testing.assert_allclose(fallen.depth_m, 2.0)
+
+
+def test_what_is_behind_or_aside_falls_nowhere_and_sees_nothing(views):
+    T = poses(STAND, [0, np.pi, 0, 0, 0, 0], [0, 0, 0, 9, 0, 0])
+    fallen = views.fall(views.sampled(0), T)
+    assert fallen.inside.all(axis=1).tolist() == [True, False, False]
+    assert not fallen.inside[1:].any()
+    depths_m, _ = views.look(np.array([0, 0, 0]), fallen)
+    np.testing.assert_array_equal(depths_m, np.repeat([[2.0], [0.0], [0.0]], 30, axis=1))
+
+
+def test_each_view_is_looked_at(views):
+    fallen = views.fall(views.sampled(0), poses(STAND, STAND))
+    depths_m, _ = views.look(np.array([0, 1]), fallen)
+    np.testing.assert_array_equal(depths_m, np.repeat([[2.0], [3.0]], 30, axis=1))
+
+
+def test_own_points_fall_as_shared_ones_do(views):
+    T = poses(STAND, [0.0, 0.1, 0.0, 0.2, 0.0, 0.1])
+    shared = views.fall(views.sampled(1), T)
+    own = views.fall(views.sampled(np.array([1, 1])), T)
+    for one, other in zip(shared, own, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+def test_surfaces_are_where_points_fall(views):
+    points, normals = views.surface(0)
+    np.testing.assert_allclose(normals, np.tile([0.0, 0.0, -1.0], (30, 1)))
+    there, facing = views.surface_there(np.array([0]), views.fall(points, poses(STAND)))
+    np.testing.assert_allclose(there[0].T, points, atol=1e-6)
+    np.testing.assert_allclose(facing[0].T, normals)
+
+
+def test_samples_are_of_known_pixels_and_the_first_of_them_the_same(views):
+    points = views.sampled(0)
+    assert points.shape == (30, 3)
+    assert (points[:, 2] == 2.0).all()
+    assert len(np.unique(points, axis=0)) == 30
+    np.testing.assert_array_equal(views.sampled(0, 7), points[:7])
+    assert views.nbytes == 2 * 48 * (4 + 3) + 2 * 2 * 30 * 4

@@ -1,0 +1,151 @@
+"""A saved map in other programs' formats, read back with their readers."""
+
+from dataclasses import replace
+
+import cv2
+import gtsam
+import numpy as np
+import open3d
+import pytest
+import yaml
+from saved_maps import make_keyframe, save
+
+from slam_bof import LoopCloser
+from slam_bof.errors import MapError
+from slam_bof.geometry import read_tum, se3
+from slam_bof.maps import OccupancyParams, export_map, session_trajectory
+from slam_bof.maps.occupancy_grid import FREE, OCCUPIED, UNKNOWN, make_grid
+from slam_bof.store import MapStore, Session, SessionResult
+
+
+@pytest.fixture(scope="module")
+def turn(look, standpoint):
+    """A camera that turns all around in a furnished room, and its poses (N, 4, 4)."""
+    poses = []
+    down = se3.exp(np.array([-0.4, 0.0, 0.0, 0.0, 0.0, 0.0]))  # by 23 degrees
+    for yaw in np.arange(0.0, 2 * np.pi, 0.25):
+        c, s = np.cos(yaw), np.sin(yaw)
+        pose = np.eye(4)
+        pose[:3] = [[s, 0, c, standpoint[0]], [-c, 0, s, standpoint[1]], [0, -1, 0, 1.3]]
+        poses.append(pose @ down)
+    return [look(pose, index) for index, pose in enumerate(poses)], np.array(poses)
+
+
+@pytest.fixture(scope="module")
+def store(turn, tmp_path_factory):
+    """The finished map of the turn."""
+    frames, poses = turn
+    with MapStore.create(tmp_path_factory.mktemp("maps") / "map.db") as store:
+        store.begin_session(Session(0, "7scenes", "room/seq-01"))
+        closer = LoopCloser.from_preset("indoor", journal=store.write)
+        for frame, T in zip(frames, poses, strict=True):
+            closer.process(frame, se3.inverse(poses[0]) @ T)
+        closer.finish()
+        n = len(closer.keyframes)
+        result = SessionResult(closer.frames_since_keyframe, closer.backend.poses(), [None] * n, [])
+        store.finish(0, result)
+        yield store
+
+
+def test_the_pose_graph_is_read_by_gtsam(store, tmp_path):
+    n = export_map(store, tmp_path / "graph.g2o", "g2o")
+    graph, values = gtsam.readG2o(str(tmp_path / "graph.g2o"), True)
+    poses, loops = store.map_poses(), store.loops()
+    assert values.size() == n == len(poses)
+    assert graph.size() == n - 1 + len(loops)
+    for id_, T in enumerate(poses):
+        np.testing.assert_allclose(values.atPose3(id_).matrix(), T, atol=1e-9)
+    edges = [graph.at(k) for k in range(graph.size())]
+    by_ends = {tuple(edge.keys()): edge for edge in edges[n - 1 :]}
+    for loop in loops:
+        edge = by_ends[loop.match_id, loop.query_id]
+        np.testing.assert_allclose(edge.measured().matrix(), loop.T_match_query, atol=1e-9)
+        information = edge.noiseModel().information()
+        np.testing.assert_allclose(information, loop.information, rtol=1e-6, atol=1e-3)
+
+
+def test_the_cloud_is_read_by_open3d(store, turn, tmp_path):
+    n = export_map(store, tmp_path / "cloud.ply", "ply", voxel_size_m=0.05)
+    cloud = open3d.io.read_point_cloud(str(tmp_path / "cloud.ply"))
+    points = np.asarray(cloud.points)
+    assert len(points) == n > 1000
+    assert cloud.has_colors()
+    world = se3.transform(turn[1][0], points)
+    assert world[:, 2].min() > -0.1  # nothing below the floor
+    low, high = (
+        np.array(cloud.colors)[world[:, 2].argmin()],
+        np.array(cloud.colors)[world[:, 2].argmax()],
+    )
+    assert low[2] > low[0]
+    assert high[0] > high[2]
+
+
+def test_every_frame_and_every_keyframe(store, tmp_path):
+    n = export_map(store, tmp_path / "keyframes.txt", "tum")
+    assert n == len(read_tum(tmp_path / "keyframes.txt")) == len(store.keyframes())
+    n = export_map(store, tmp_path / "frames.txt", "tum", all_frames=True)
+    found = read_tum(tmp_path / "frames.txt")
+    assert n == len(found) == len(store.frames(0))
+    np.testing.assert_allclose(found.poses, session_trajectory(store, 0).poses, atol=1e-9)
+    with pytest.raises(MapError, match="found no session 3, expected one of 1"):
+        export_map(store, tmp_path / "none.txt", "tum", session=3)
+
+
+def test_the_plan_is_as_map_server_has_it(store, turn, room, tmp_path):
+    export_map(store, tmp_path / "plan.yaml", "occupancy")
+    found = yaml.safe_load((tmp_path / "plan.yaml").read_text())
+    assert (found["image"], found["resolution"], found["negate"]) == ("plan.png", 0.05, 0)
+    cells = cv2.imread(str(tmp_path / "plan.png"), cv2.IMREAD_UNCHANGED)
+    assert set(np.unique(cells)) == {FREE, OCCUPIED, UNKNOWN}
+
+    def value(x_m, y_m):
+        column = int((x_m - found["origin"][0]) / 0.05)
+        row = len(cells) - 1 - int((y_m - found["origin"][1]) / 0.05)
+        return cells[row, column]
+
+    assert value(0.0, 0.0) == FREE  # where the camera stands
+    assert value(found["origin"][0] + 0.03, found["origin"][1] + 0.03) == UNKNOWN
+
+
+def test_the_plan_agrees_with_the_room(turn, room):
+    """What is free in the plan has nothing between knee and head in the room."""
+    frames, poses = turn
+    grid = make_grid(frames, poses, OccupancyParams(), gravity_map=(0.0, 0.0, -1.0))
+    assert grid.floor_seen
+    T_map_plan = se3.inverse(grid.T_plan_map)
+    rows, columns = np.indices(grid.cells.shape)
+    x = grid.origin_m[0] + (columns + 0.5) * grid.resolution_m
+    y = grid.origin_m[1] + (len(grid.cells) - 0.5 - rows) * grid.resolution_m
+    plan = np.stack([x, y, np.zeros_like(x), np.ones_like(x)], axis=-1) @ T_map_plan.T
+    np.testing.assert_allclose(plan[..., 2], 0.0, atol=0.03)
+    low, high = (corner[:2] for corner in room.mesh.bounds())
+    inside = ((plan[..., :2] > low) & (plan[..., :2] < high)).all(axis=-1)
+    assert inside[grid.cells == FREE].mean() > 0.99
+    sides = np.stack([low, high])
+    walls = (np.abs(plan[..., None, :2] - sides) < 0.1).any(axis=(-2, -1))
+    assert (grid.cells[walls] == OCCUPIED).sum() > 40
+    assert (grid.cells == FREE).sum() * grid.resolution_m**2 > 3.0
+
+
+def test_what_cannot_be_exported_is_named(tmp_path):
+    with MapStore.create(tmp_path / "map.db") as store:
+        save(store, make_keyframe(0))
+        for format_ in ("tum", "g2o", "ply", "occupancy"):
+            with pytest.raises(MapError, match="an interrupted run, expected a finished one"):
+                export_map(store, tmp_path / "out", format_)
+    with pytest.raises(MapError, match="found no surface in 0 keyframes"):
+        make_grid([], np.empty((0, 4, 4)))
+
+
+def test_sessions_with_a_time_of_their_own_are_exported_one_by_one(tmp_path):
+    with MapStore.create(tmp_path / "map.db") as store:
+        for id_, session in ((0, 0), (1, 0), (2, 1), (3, 1)):
+            keyframe = make_keyframe(id_, session=session)
+            save(store, replace(keyframe, frame_index=id_ % 2, stamp_s=id_ % 2), n_frames=1)
+        for session in (0, 1):
+            store.finish(session, SessionResult([], np.tile(np.eye(4), (4, 1, 1)), [None] * 4, []))
+        for all_frames in (False, True):
+            with pytest.raises(MapError, match="found 2 sessions, each with a time of its own"):
+                export_map(store, tmp_path / "out", "tum", all_frames=all_frames)
+            assert export_map(store, tmp_path / "out", "tum", session=1, all_frames=all_frames) == 2
+        assert export_map(store, tmp_path / "out", "kitti") == 4

@@ -1,0 +1,195 @@
+"""One map of several sessions: joined while running, merged afterwards, pruned, gone on with."""
+
+import json
+import shutil
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from slam_bof import LoopCloser
+from slam_bof.cli import app
+from slam_bof.core import registry
+from slam_bof.errors import DatasetError, MapError
+from slam_bof.evaluation.trajectory_metrics import ate
+from slam_bof.geometry import se3
+from slam_bof.maps import MapLocalizer, merge_maps
+from slam_bof.run import read_run, run_sequence
+from slam_bof.slam import preset
+from slam_bof.slam.config import override
+from slam_bof.store import MapStore, check_map, parts_of, prune_map, read_records, redundant
+from slam_bof.synthetic import Scene3D, make_room, spin, write_sequence
+from slam_bof.types import Trajectory
+
+QUICK = override(preset("indoor"), ["loops.min_age_s=1.0", "keyframes.max_gap=5"])
+
+
+@pytest.fixture(scope="module")
+def sequences(tmp_path_factory):
+    """Two turns of 70 degrees in one room, the second the other way round and a step aside."""
+    folder = tmp_path_factory.mktemp("sessions") / "room"
+    scene = Scene3D(make_room("living_room", seed=3).mesh)
+    there = spin(2.5, 2.3, rate_deg_s=60.0, angle_deg=70.0, pitch=0.3)[5:45]
+    back = spin(2.45, 2.35, rate_deg_s=60.0, angle_deg=70.0, pitch=0.3)[5:45][::-1]
+    for name, poses in (("seq-01", there), ("seq-02", back)):
+        write_sequence(folder / name, scene, poses)
+    return [registry.open_dataset(folder / name, "auto") for name in ("seq-01", "seq-02")]
+
+
+@pytest.fixture(scope="module")
+def joined(sequences, tmp_path_factory):
+    """The map of both, and the folders of their runs."""
+    out = tmp_path_factory.mktemp("joined")
+    map_file = out / "home.db"
+    return map_file, [run_sequence(s, QUICK, out, map_file=map_file) for s in sequences]
+
+
+@pytest.fixture(scope="module")
+def apart(sequences, tmp_path_factory):
+    """The maps of either by itself."""
+    out = tmp_path_factory.mktemp("apart")
+    return [run_sequence(s, QUICK, out).folder / "map.db" for s in sequences]
+
+
+def error_m(map_file, sequences) -> float:
+    """Return the ATE (RMSE) of all keyframes of a map, in one frame."""
+    with MapStore.open(map_file) as store:
+        keyframes, found = store.keyframes(), store.map_poses()
+    assert {k.session for k in keyframes} == {0, 1}
+    truth = np.array([sequences[k.session].groundtruth().poses[k.frame_index] for k in keyframes])
+    stamps_s = np.arange(len(truth), dtype=float)
+    result = ate(Trajectory(stamps_s, found), Trajectory(stamps_s, truth))
+    assert result is not None
+    return result.rmse_m
+
+
+def test_a_second_session_joins_the_map_of_the_first(joined, sequences):
+    map_file, (first, second) = joined
+    assert (first.metrics["n_loops_across"], first.metrics["session"]) == (0, 0)
+    assert second.metrics["session"] == 1
+    assert second.metrics["n_loops_across"] > 4
+    assert second.metrics["n_parts"] == 1
+    assert error_m(map_file, sequences) < 0.03
+    assert check_map(map_file) == []
+    with MapStore.open(map_file) as store:
+        assert [(s.sequence, s.is_finished) for s in store.sessions()] == [
+            ("room/seq-01", True),
+            ("room/seq-02", True),
+        ]
+        assert [len(store.frames(k)) for k in (0, 1)] == [40, 40]
+
+
+def test_a_run_s_folder_is_of_its_own_session(joined):
+    map_file, runs = joined
+    for run in runs:
+        assert (run.folder / "map.db").resolve() == map_file.resolve()
+        found = read_run(run.folder)
+        assert len(found.keyframes) == run.metrics["n_keyframes"]
+        assert [k.id for k in found.keyframes] == list(range(len(found.keyframes)))
+        assert max(k.frame_index for k in found.keyframes) < 40
+        assert len(found.loops) == run.metrics["n_loops"] + run.metrics["n_covisibility_edges"]
+        assert len(found.optimized) == 40
+        assert json.loads((run.folder / "metrics.json").read_text()) == run.metrics
+
+
+def test_maps_are_merged_by_what_is_recognised(apart, sequences, tmp_path):
+    out = tmp_path / "merged.db"
+    merged = merge_maps(apart, out)
+    assert (merged.n_sessions, merged.n_parts) == (2, 1)
+    assert merged.n_loops_across > 4
+    assert error_m(out, sequences) < 0.03
+    assert check_map(out) == []
+    with pytest.raises(MapError, match="found a file, expected none"):
+        merge_maps(apart, out)
+
+
+def test_a_merge_that_fails_leaves_nothing(apart, tmp_path):
+    other = tmp_path / "other.db"
+    shutil.copy(apart[1], other)
+    with MapStore.open(other, read_only=False) as store:
+        store.set_parameters({"model": "another"})
+    with pytest.raises(MapError, match="found model another, expected that of"):
+        merge_maps([apart[0], other], tmp_path / "merged.db")
+    assert [path.name for path in tmp_path.iterdir()] == ["other.db"]
+
+
+def test_a_pruned_map_stays_where_it_is_and_can_be_joined(joined, sequences, tmp_path):
+    map_file = tmp_path / "pruned.db"
+    shutil.copy(joined[0], map_file)
+    with MapStore.open(map_file) as store:
+        before = {(k.session, k.frame_index): T for k, T in zip(
+            store.keyframes(), store.map_poses(), strict=True
+        )}  # fmt: skip
+        dropped = redundant(store, distance_m=0.2, angle_rad=0.3)
+        assert 0 < len(dropped) < len(before)
+    size = map_file.stat().st_size
+    n = prune_map(map_file, lambda store: redundant(store, distance_m=0.2, angle_rad=0.3))
+    assert n == len(dropped)
+    assert map_file.stat().st_size < size
+    assert check_map(map_file) == []
+    with MapStore.open(map_file) as store:
+        keyframes, poses = store.keyframes(), store.map_poses()
+        assert [k.id for k in keyframes] == list(range(len(before) - n))
+        assert len(set(parts_of(store))) == 1
+        for keyframe, T in zip(keyframes, poses, strict=True):
+            np.testing.assert_array_equal(T, before[keyframe.session, keyframe.frame_index])
+        closer = LoopCloser.from_config(QUICK)
+        closer.restore(read_records(store))
+    errors = se3.inverse(closer.backend.poses()) @ poses
+    assert np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.01
+    again = run_sequence(sequences[0], QUICK, tmp_path, map_file=map_file)
+    assert (again.metrics["n_parts"], again.metrics["session"]) == (1, 2)
+    assert again.metrics["ate_m"] < 0.03
+
+
+def test_a_session_can_be_dropped(joined, tmp_path):
+    map_file = tmp_path / "first.db"
+    shutil.copy(joined[0], map_file)
+    prune_map(map_file, lambda store: [k.id for k in store.keyframes() if k.session == 1])
+    with MapStore.open(map_file) as store:
+        assert {k.session for k in store.keyframes()} == {0}
+        assert store.frames(1) == []
+    assert check_map(map_file) == []
+
+
+def test_the_map_says_where_a_frame_was_taken(joined, sequences):
+    map_file, runs = joined
+    places = MapLocalizer.open(map_file)
+    frame = sequences[0].frame(21)
+    located = places.localize(frame)
+    assert located.found.is_known, located.found.reason
+    truth = read_run(runs[0].folder).optimized.poses[21]
+    off = se3.inverse(truth) @ located.found.T_map_camera
+    assert np.linalg.norm(off[:3, 3]) < 0.05
+    assert located.keyframe is not None
+    assert located.room == (located.keyframe.smoothed or located.keyframe.scene).label
+    blank = replace(frame, depth=np.zeros_like(frame.depth))
+    assert not places.localize(blank).found.is_known
+    other = replace(frame, intrinsics=replace(frame.intrinsics, fx=500.0))
+    with pytest.raises(DatasetError, match="expected one of the map's camera"):
+        places.localize(other)
+
+
+def test_localize_by_the_command_line(joined, sequences, tmp_path):
+    map_file, _ = joined
+    folder = tmp_path / "room" / "seq-01"
+    write = [str(map_file), str(folder)]
+    folder.mkdir(parents=True)
+    for index in (0, 20):
+        cv2.imwrite(
+            str(folder / f"frame-{index // 20:06d}.depth.png"), sequences[0].frame(index).depth
+        )
+    table = CliRunner().invoke(app, ["localize", *write])
+    assert table.exit_code == 0, table.output
+    assert "of 2 frames localized" in table.stdout
+    rows = json.loads(CliRunner().invoke(app, ["localize", *write, "--json"]).stdout)
+    assert [row["frame_index"] for row in rows] == [0, 1]
+    assert all(row["is_known"] == (row["T_map_camera"] is not None) for row in rows)
+    image = str(folder / "frame-000001.depth.png")
+    one = json.loads(CliRunner().invoke(app, ["localize", str(map_file), image, "--json"]).stdout)
+    assert one["T_map_camera"] == rows[1]["T_map_camera"]
+    missing = CliRunner().invoke(app, ["localize", str(tmp_path / "none.db"), image])
+    assert (missing.exit_code, missing.stdout) == (1, "")
+    assert "none.db: found no file, expected a map.db" in missing.stderr

@@ -1,0 +1,159 @@
+"""Slips are mended, losses are noticed, and what was lost is found or begun anew."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from slam_bof.geometry import se3
+from slam_bof.slam import LoopCloser
+from slam_bof.tracking import Tracker, TrackingParams
+
+N_FRAMES = 12
+STEP_RAD = 0.06
+
+
+def turned(standpoint, yaw):
+    c, s = np.cos(yaw), np.sin(yaw)
+    x, y = standpoint
+    return np.array([[s, 0, c, x], [-c, 0, s, y], [0, -1, 0, 1.3], [0, 0, 0, 1.0]])
+
+
+@pytest.fixture(scope="module")
+def turn(look, standpoint):
+    """Frames of a turn on the spot, and the true poses seen from the first."""
+    poses = np.array([turned(standpoint, 2.0 + STEP_RAD * i) for i in range(N_FRAMES)])
+    return [look(pose, i) for i, pose in enumerate(poses)], se3.inverse(poses[0]) @ poses
+
+
+def covered(frame):
+    return replace(frame, depth=np.zeros_like(frame.depth))
+
+
+def follow(frames, odometry, every=4):
+    """Track all, keep some, and return the tracks."""
+    tracker = Tracker()
+    tracks = []
+    for i, (frame, T) in enumerate(zip(frames, odometry, strict=True)):
+        tracks.append(tracker.track(frame, T))
+        anew = len(tracks) > 1 and tracks[-1].segment != tracks[-2].segment
+        if not tracks[-1].is_lost and (i % every == 0 or anew):
+            tracker.keep()
+    return tracker, tracks
+
+
+def off(tracks, truth):
+    T = se3.inverse(truth) @ np.array([track.T_odom_camera for track in tracks])
+    return np.linalg.norm(T[:, :3, 3], axis=1), np.degrees(se3.rotation_angle(T))
+
+
+def test_slips_are_mended(turn):
+    frames, truth = turn
+    tangents = np.outer(np.arange(N_FRAMES), [0.0, 0.02, 0.005, 0.03, 0.0, 0.02])
+    slips = se3.exp(tangents)  # 4 cm and 1.2 degrees more in each frame
+    tracker, tracks = follow(frames, truth @ slips)
+    far_m, far_deg = off(tracks, truth)
+    assert off(follow(frames, truth)[1], truth)[0].max() < 0.03
+    assert far_m.max() < 0.03
+    assert far_deg.max() < 1.0
+    assert tracker.n_lost == 0
+    assert min(track.seen for track in tracks) > 0.5
+
+
+def test_a_covered_lens_is_a_loss_and_the_place_is_found_again(turn):
+    frames, truth = turn
+    dark = [covered(f) if 5 <= i < 8 else f for i, f in enumerate(frames)]
+    # Odometry stands still while it sees nothing, and goes on from there.
+    odometry = truth.copy()
+    odometry[5:8] = truth[4]
+    odometry[8:] = truth[4] @ se3.inverse(truth[8]) @ truth[8:]
+    tracker, tracks = follow(dark, odometry)
+    assert [track.is_lost for track in tracks] == [5 <= i < 8 for i in range(N_FRAMES)]
+    assert tracker.n_lost == 1
+    assert tracks[-1].segment == 0
+    assert off(tracks[8:], truth[8:])[0].max() < 0.03
+
+
+def test_elsewhere_the_track_begins_anew(turn, look, standpoint):
+    frames, truth = turn
+    behind = [look(turned(standpoint, 5.2 + STEP_RAD * i), 20 + i) for i in range(4)]
+    odometry = np.concatenate([truth, truth[:4]])  # restarted: identity again
+    tracker, tracks = follow(frames + behind, odometry)
+    assert [track.segment for track in tracks] == [0] * (N_FRAMES + 1) + [1] * 3
+    assert [track.is_lost for track in tracks] == [False] * N_FRAMES + [True] + [False] * 3
+    assert tracker.n_lost == 1
+
+
+def noisy(frame, sigma):
+    """Depths off by a share of themselves, each pixel on its own."""
+    shares = 1.0 + sigma * np.random.default_rng(0).standard_normal(frame.depth.shape)
+    return replace(frame, depth=(frame.depth_m() * shares).astype(np.float32))
+
+
+def test_what_is_usual_depends_on_the_sensor(turn):
+    """So noisy that right poses agree by half only, which elsewhere would be a loss."""
+    frames, truth = turn
+    poor = [noisy(frame, 0.07) for frame in frames]
+    tracker, tracks = follow([*poor, covered(frames[-1])], np.concatenate([truth, truth[-1:]]))
+    assert max(track.seen for track in tracks[1:-1]) < 0.65
+    assert [track.is_lost for track in tracks] == [False] * N_FRAMES + [True]
+    assert tracker.n_lost == 1
+
+
+def test_nothing_is_lost_before_anything_was_seen(turn):
+    frames, truth = turn
+    tracker, tracks = follow([covered(f) for f in frames[:3]] + frames[3:], truth)
+    assert [track.is_lost for track in tracks] == [True] * 3 + [False] * (N_FRAMES - 3)
+    assert tracker.n_lost == 0
+
+
+def test_it_can_be_turned_off(turn):
+    frames, truth = turn
+    tracker = Tracker(TrackingParams(enabled=False))
+    for frame, T in zip(frames[:3], truth, strict=False):
+        track = tracker.track(covered(frame), T)
+        assert track.T_odom_camera is T
+        assert not track.is_lost
+
+
+@pytest.fixture(scope="module")
+def rounds(look, standpoint):
+    """Twice round on the spot; the odometry is started anew in between, at another yaw."""
+    yaws = np.concatenate([np.arange(0, 2.2, 0.1), np.arange(0.05, 2.2, 0.1)])
+    poses = np.array([turned(standpoint, yaw) for yaw in yaws])
+    frames = [look(pose, i) for i, pose in enumerate(poses)]
+    odometry = se3.inverse(poses[0]) @ poses
+    odometry[22:] = se3.inverse(poses[22]) @ poses[22:]
+    return frames, odometry, poses
+
+
+def test_a_verified_loop_joins_what_was_lost(rounds):
+    frames, odometry, poses = rounds
+    closer = LoopCloser.from_preset("indoor")
+    steps = [closer.process(f, T) for f, T in zip(frames, odometry, strict=True)]
+    trajectory = closer.finish()
+    assert closer.n_odometry_lost == 1
+    assert closer.n_parts == 1
+    assert closer.keyframes[-1].segment == 1
+    joined = [loop for step in steps for loop in step.loops if loop.source == "view"]
+    assert joined
+    off = se3.inverse(se3.inverse(poses[0]) @ poses) @ trajectory.poses
+    lost = np.array([step.is_lost for step in steps])
+    assert np.linalg.norm(off[~lost, :3, 3], axis=1).max() < 0.05
+    last = steps[-1].T_map_odom @ odometry[-1]
+    assert np.linalg.norm(last[:3, 3] - (se3.inverse(poses[0]) @ poses[-1])[:3, 3]) < 0.05
+
+
+def test_what_nothing_joins_stays_a_part_of_its_own(look, standpoint):
+    yaws = np.concatenate([np.arange(0, 0.6, 0.1), np.pi + np.arange(0, 0.6, 0.1)])
+    frames = [look(turned(standpoint, yaw), i) for i, yaw in enumerate(yaws)]
+    poses = np.array([turned(standpoint, yaw) for yaw in yaws])
+    odometry = se3.inverse(poses[0]) @ poses
+    odometry[6:] = se3.inverse(poses[6]) @ poses[6:]
+    closer = LoopCloser.from_preset("indoor")
+    for frame, T in zip(frames, odometry, strict=True):
+        closer.process(frame, T)
+    trajectory = closer.finish()
+    assert closer.n_parts == 2
+    assert len(trajectory) == 12
+    assert np.isfinite(trajectory.poses).all()

@@ -1,0 +1,194 @@
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from slam_bof.geometry import se3
+from slam_bof.types import Array, Bag, Candidate, Keyframe, Loop, Scene, Trajectory
+from slam_bof.visualization import ReportData, write_report
+
+CLASSES = ("kitchen", "office")
+METRICS = {
+    "dataset": "7scenes",
+    "sequence": "redkitchen/seq-01",
+    "n_frames": 40,
+    "n_loops": 2,
+    "ate_odometry_m": 0.0812,
+    "ate_m": 0.0523,
+    "loop_precision": 0.5,
+    "scene_accuracy": None,
+    "fps": 18.44,
+    "stage_ms.read": 6.1,
+    "stage_ms.total": 54.2,
+    "seed": 0,
+    "version": "0.1.0",
+    "n_surprises": 3,
+}
+
+
+def circle(n: int, radius_m: float) -> Trajectory:
+    angles = np.linspace(0.0, 2.0 * np.pi, n)
+    tangents = np.zeros((n, 6))
+    tangents[:, 1] = angles
+    poses = se3.exp(tangents)
+    poses[:, 0, 3] = radius_m * (np.cos(angles) - 1.0)
+    poses[:, 2, 3] = radius_m * np.sin(angles)
+    return Trajectory(np.arange(n) / 30.0, poses)
+
+
+def make_keyframe(id_: int, frame_index: int, T_odom_camera: Array) -> Keyframe:
+    scene = Scene(CLASSES[id_ % 2], 0.75, CLASSES, np.array([0.75, 0.25]))
+    bag = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+    return Keyframe(id_, frame_index, frame_index / 30.0, T_odom_camera, bag, scene)
+
+
+@pytest.fixture
+def data() -> ReportData:
+    odometry, optimized, truth = circle(40, 1.1), circle(40, 1.01), circle(40, 1.0)
+    keyframes = [make_keyframe(k, 4 * k, odometry.poses[4 * k]) for k in range(10)]
+    T_0_9 = se3.inverse(truth.poses[0]) @ truth.poses[36]
+    loops = [
+        Loop(9, 0, T_0_9, np.eye(6), "loop", "bag"),
+        Loop(8, 0, np.eye(4), np.eye(6), "loop", "proximity"),
+        Loop(9, 8, np.eye(4), np.eye(6), "covisibility", "proximity"),
+    ]
+    candidates = [
+        Candidate(9, 0, "bag", eta=0.9, overlap=0.7, decision="accepted", reason="overlap 0.70"),
+        Candidate(9, 1, "bag", eta=np.inf, decision="rejected", reason="eta too good"),
+        Candidate(9, 2, "proximity", overlap=0.1, decision="rejected", reason="overlap 0.10"),
+        Candidate(9, 8, "proximity", kind="covisibility", decision="accepted"),
+    ]
+    poses = truth.poses.copy()
+    poses[20:25] = np.nan
+    known = Trajectory(truth.stamps_s, poses)
+    true_scenes = ["kitchen"] * 9 + [None]
+    return ReportData(
+        METRICS, odometry, optimized, known, keyframes, loops, candidates, true_scenes
+    )
+
+
+def headings(html: str) -> list[str]:
+    return re.findall("<h2>(.*?)</h2>", html)
+
+
+def plots(html: str) -> dict[str, list]:
+    """Return the traces of each figure by its div id."""
+    calls = re.findall(r'Plotly\.newPlot\(\s*"([^"]+)",\s*(\[.*?\]),\s*\{"', html)
+    return {div_id: json.loads(traces) for div_id, traces in calls}
+
+
+def write(tmp_path: Path, data: ReportData) -> str:
+    write_report(tmp_path / "report.html", data)
+    return (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def without_library(html: str) -> str:
+    """Cut plotly.js, which the page carries with it, out of the page."""
+    start, end = html.index("<script>"), html.index("</head>")
+    return html[:start] + html[end:]
+
+
+def test_the_page_has_every_figure(tmp_path: Path, data: ReportData) -> None:
+    html = write(tmp_path, data)
+    assert headings(html) == [
+        "Trajectory", "Position error", "Loop candidates", "Scene labels", "Time", "All figures",
+    ]  # fmt: skip
+    assert set(plots(html)) == {
+        "top-view", "space-view", "errors", "candidates", "labels", "stages",
+    }  # fmt: skip
+
+
+def test_loops_are_told_from_wrong_ones_and_covisibility(tmp_path: Path, data) -> None:
+    top_view = plots(write(tmp_path, data))["top-view"]
+    names = {trace.get("name") for trace in top_view}
+    assert {"loops (1)", "wrong loops (1)", "covisibility edges (1)"} <= names
+    untold = plots(write(tmp_path, replace(data, groundtruth=None)))["top-view"]
+    names = {trace.get("name") for trace in untold}
+    assert "loops (2)" in names
+    assert "ground truth" not in names
+
+
+def test_candidates_show_the_decision_and_its_reason(tmp_path: Path, data) -> None:
+    html = write(tmp_path, data)
+    traces = plots(html)["candidates"]
+    reasons = {t["name"]: " ".join(t["text"]) for t in traces}
+    assert "keyframe 9 with 0, by bag" in reasons["accepted"]
+    assert "rejected: overlap 0.10" in reasons["rejected"]
+    assert "3 pairs of keyframes considered, 1 accepted" in html
+    assert "Infinity" not in without_library(html)
+
+
+def test_labels_are_compared_with_the_truth(tmp_path: Path, data: ReportData) -> None:
+    traces = {t["name"]: t for t in plots(write(tmp_path, data))["labels"]}
+    assert len(traces["predicted, right"]["text"]) == 5
+    assert len(traces["predicted, wrong"]["text"]) == 4
+    assert len(traces["predicted"]["text"]) == 1
+    assert len(traces["true"]["y"]) == 9
+
+
+def test_metrics_are_written_for_people(tmp_path: Path, data: ReportData) -> None:
+    html = without_library(write(tmp_path, data))
+    assert "<h1>redkitchen/seq-01</h1>" in html
+    assert "7scenes · 40 frames · 1.3 s · 10 keyframes · slam_bof 0.1.0 · seed 0" in html
+    assert '<div class="value">0.052 m</div>' in html
+    assert "odometry alone: 0.081 m" in html
+    assert '<div class="value unknown">not known</div>' in html
+    assert "<tr><th>ATE with loops (RMSE)</th><td>0.0523 m</td></tr>" in html
+    assert "<tr><th>n_surprises</th><td>3</td></tr>" in html
+    assert "None" not in html
+
+
+def test_the_page_needs_no_network(tmp_path: Path, data: ReportData) -> None:
+    html = write(tmp_path, data)
+    assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)
+    assert "http" not in without_library(html)
+    assert "plotly.js v" in html
+
+
+def test_the_same_run_gives_the_same_bytes(tmp_path: Path, data: ReportData) -> None:
+    assert write(tmp_path, data) == write(tmp_path, data)
+
+
+def test_a_run_without_truth_loops_or_labels(tmp_path: Path, data: ReportData) -> None:
+    keyframes = [replace(keyframe, scene=None) for keyframe in data.keyframes]
+    bare = ReportData({}, data.odometry, data.optimized, None, keyframes)
+    html = write(tmp_path, bare)
+    assert headings(html) == ["Trajectory"]
+    assert "Unnamed sequence" in html
+    assert "No ground truth is known" in html
+
+
+@pytest.mark.parametrize("n", [0, 1, 2])
+def test_runs_of_hardly_any_frames(tmp_path: Path, data: ReportData, n: int) -> None:
+    short = Trajectory(data.odometry.stamps_s[:n], data.odometry.poses[:n])
+    keyframes = data.keyframes[: n and 1]
+    html = write(tmp_path, ReportData(METRICS, short, short, data.groundtruth, keyframes))
+    assert f"{n} frame{'' if n == 1 else 's'} · " in html
+    assert "Position error" not in headings(html)
+    assert "top-view" in plots(html)
+
+
+def test_names_from_outside_are_text_and_not_html(tmp_path: Path, data: ReportData) -> None:
+    evil = "</script><script>alert(1)</script>"
+    candidate = Candidate(0, 0, "bag", eta=1.0, decision="rejected", reason=evil)
+    metrics = {**METRICS, "sequence": evil, evil: evil}
+    html = write(tmp_path, replace(data, metrics=metrics, candidates=[candidate]))
+    assert "<script>alert" not in html
+    assert "&lt;/script&gt;&lt;script&gt;alert(1)" in html
+
+
+def test_lengths_must_agree(data: ReportData) -> None:
+    with pytest.raises(ValueError, match="for each of 10 keyframes, got 1"):
+        replace(data, true_scenes=["kitchen"])
+    with pytest.raises(ValueError, match="40 of odometry and 0 optimized"):
+        replace(data, optimized=Trajectory())
+
+
+def test_plotly_is_loaded_only_to_write() -> None:
+    code = "import sys, slam_bof.visualization.run_report; sys.exit('plotly' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
