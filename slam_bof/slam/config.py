@@ -30,7 +30,7 @@ __all__ = [
     "resolve",
 ]
 
-_PACKAGE = Path(__file__).parent
+_PACKAGE = Path(__file__).parents[1]
 PRESETS = _PACKAGE / "configs"  # in a wheel
 if not PRESETS.is_dir():
     PRESETS = _PACKAGE.parent / "configs"  # in a checkout
