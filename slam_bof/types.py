@@ -173,6 +173,8 @@ class Keyframe:
     ``T_odom_camera`` and ``segment`` are as ``tracking.Track`` has them. ``scene`` is what this
     keyframe alone shows, ``smoothed`` what is likely by the keyframes before it as well.
     ``session`` counts the runs that the map is of; frames and odometry are those of one.
+    ``step_covariance`` (6, 6) is of the step from the keyframe before, in the tangent of the pose,
+    rotation first, rad and m; None where nothing is known of it.
     """
 
     id: int
@@ -184,6 +186,7 @@ class Keyframe:
     segment: int = 0
     smoothed: Scene | None = None
     session: int = 0
+    step_covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +195,9 @@ class Verification:
 
     ``overlap`` is the share of the query's points with a match nearby, ``rmse_m`` their
     point-to-plane error, ``information`` (6, 6) is for the tangent of ``T_match_query``,
-    rotation first, as GTSAM has it. ``reason`` says in words why ``accepted`` is false.
+    rotation first, as GTSAM has it, in 1/rad^2 and 1/m^2: the inverse of the covariance of its
+    error, next to nothing along directions that the surfaces leave open. ``reason`` says in words
+    why ``accepted`` is false.
     """
 
     accepted: bool
@@ -233,8 +238,9 @@ class Loop:
     """A verified edge of the pose graph between two keyframes.
 
     ``kind`` is ``loop`` where the keyframes are far apart in time and were held to all that a
-    loop needs, and ``covisibility`` where they are neighbours, in time or in the map, that see
-    the same surfaces.
+    loop needs, ``partial`` where one that else is a loop leaves directions open, and
+    ``covisibility`` where they are neighbours, in time or in the map, that see the same surfaces.
+    ``information`` is as in ``Verification``.
     """
 
     query_id: int
@@ -251,7 +257,7 @@ class FramePose:
 
     ``segment`` is the uninterrupted track it is of, ``LOST`` while odometry was lost.
     ``T_view_camera`` is how the sensor stood in the view that was cut of its point cloud, None for
-    a depth image.
+    a depth image. ``covariance`` (6, 6) of a keyframe is as ``Keyframe.step_covariance``.
     """
 
     stamp_s: float
@@ -259,6 +265,7 @@ class FramePose:
     T_odom_camera: Pose
     segment: int
     T_view_camera: Pose | None = None
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -300,8 +307,10 @@ class Step:
     ``keyframe`` is None where the frame was not made one; ``scene`` is the latest label;
     ``loops`` are the edges accepted just now, ``candidates`` all that were considered for
     them; ``T_map_odom`` corrects the odometry frame, as REP-105 has it:
-    ``T_map_camera = T_map_odom @ T_odom_camera``. Where ``is_lost``, the odometry cannot be
-    right, and nothing better is known.
+    ``T_map_camera = T_map_odom @ T_odom_camera``. ``health`` is ``tracked``, ``degenerate`` where
+    the surfaces in sight leave ``open_axes`` (6, k) to odometry alone (directions in the camera's
+    frame: a turn in rad, then metres), or ``lost``, also ``is_lost``: the odometry cannot be right,
+    and nothing better is known. ``covariance`` (6, 6) is of the pose since the last keyframe.
     """
 
     keyframe: Keyframe | None
@@ -310,6 +319,15 @@ class Step:
     candidates: tuple[Candidate, ...]
     T_map_odom: Pose
     is_lost: bool = False
+    open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+    covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def health(self) -> str:
+        """Return ``tracked``, ``degenerate`` or ``lost``."""
+        if self.is_lost:
+            return "lost"
+        return "degenerate" if self.open_axes.shape[1] else "tracked"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,6 +23,7 @@ from slam_bof_plugins.gtsam_selection import (
     ROOT_SIGMA,
     Edge,
     SelectionParams,
+    edge_covariance,
     optimized,
     pose3,
     poses_of,
@@ -33,12 +34,15 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 
 
 class GtsamParams(Params):
-    """Noise of the odometry per step between keyframes, and of an average loop."""
+    """Noise of steps between keyframes and of loops, where their own covariance says less."""
 
-    odometry_sigma_rad: float = Field(0.05, gt=0)
+    odometry_sigma_rad: float = Field(0.05, gt=0, description="of a step of unknown covariance")
     odometry_sigma_m: float = Field(0.05, gt=0)
-    loop_sigma: float = Field(0.01, gt=0, description="mean over the six axes, rad and m")
-    cauchy: float = Field(1.0, gt=0, description="of the robust kernel, in sigmas")
+    step_floor_rad: float = Field(1e-4, gt=0, description="no step is more certain than this")
+    step_floor_m: float = Field(3e-4, gt=0)
+    loop_floor: float = Field(0.002, gt=0, description="nor a loop: rad and m")
+    huber: float = Field(3.0, gt=0, description="of the steps' robust kernel, in sigmas")
+    cauchy: float = Field(1.0, gt=0, description="of the loops' robust kernel, in sigmas")
     tolerance: float = Field(
         0.01, ge=0, description="rad and m by which loops may contradict the map while frames come"
     )
@@ -83,7 +87,7 @@ class GtsamBackend:
         else:
             motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
             is_lost = keyframe.segment != self._segments[-1]
-            noise = self._lost_noise if is_lost else self._odometry_noise
+            noise = self._lost_noise if is_lost else self._step_noise(keyframe)
             factor = gtsam.BetweenFactorPose3(key - 1, key, motion, noise)
             node = self._estimate.atPose3(key - 1).compose(motion)
         self._odometry.add(factor)
@@ -111,14 +115,14 @@ class GtsamBackend:
         self._start_afresh(gtsam.ISAM2Params())
 
     def add_loop(self, loop: Loop) -> None:
-        """Add a verified edge; its information keeps its shape and is scaled to one trace.
+        """Add a verified edge, with its own information.
 
         One that says what the map has already waits for the end: where the same place is seen
         over and over, iSAM2's tree would become dense and each update slower than the last. The
         first between two segments never waits: without, the lost step alone would place them.
         """
-        shape = loop.information / np.trace(loop.information) * 6.0
-        noise = gtsam.noiseModel.Gaussian.Information(shape / self.params.loop_sigma**2)
+        covariance = edge_covariance(loop.information) + self.params.loop_floor**2 * np.eye(6)
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
         self._loops.append((edge, noise))
         joins = self._held.merge(self._segments[edge.match], self._segments[edge.query])
@@ -153,6 +157,7 @@ class GtsamBackend:
                 np.array(self._segments),
                 np.array(self._stamps_s),
                 [edge for edge, _ in self._loops],
+                [noise.covariance() for _, noise in self._loops],
                 p.selection,
             )
         graph = gtsam.NonlinearFactorGraph(self._odometry)
@@ -169,11 +174,21 @@ class GtsamBackend:
         """Write nodes and edges as .g2o; GTSAM puts the translation first, as g2o has it."""
         graph = gtsam.NonlinearFactorGraph()
         for key in range(1, self._odometry.size()):
-            graph.add(self._odometry.at(key))
+            graph.add(_plain(self._odometry.at(key)))
         for edge, noise in self._kept():
             # Robust models have no place in the format: the plain one is written.
             graph.add(gtsam.BetweenFactorPose3(*edge, noise))
         gtsam.writeG2o(graph, self._estimate, str(path))
+
+    def _step_noise(self, keyframe: Keyframe) -> gtsam.noiseModel.Base:
+        """Return the noise of a keyframe's step from the one before."""
+        if keyframe.step_covariance is None:
+            return self._odometry_noise
+        p = self.params
+        floor = np.square(np.repeat([p.step_floor_rad, p.step_floor_m], 3))
+        noise = gtsam.noiseModel.Gaussian.Covariance(keyframe.step_covariance + np.diag(floor))
+        kernel = gtsam.noiseModel.mEstimator.Huber.Create(p.huber)
+        return gtsam.noiseModel.Robust.Create(kernel, noise)
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
@@ -204,3 +219,11 @@ class GtsamBackend:
     def _robust(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.NonlinearFactor:
         kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.params.cauchy)
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
+
+
+def _plain(factor: gtsam.BetweenFactorPose3) -> gtsam.BetweenFactorPose3:
+    """Return a factor without its robust kernel."""
+    noise = factor.noiseModel()
+    if not isinstance(noise, gtsam.noiseModel.Robust):
+        return factor
+    return gtsam.BetweenFactorPose3(*factor.keys(), factor.measured(), noise.noise())

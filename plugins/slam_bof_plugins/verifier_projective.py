@@ -12,8 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 
-from slam_bof.geometry import AlignmentParams, JudgementParams, ViewAligner, judge, make_view
-from slam_bof.types import Array, DepthFrame, Verification
+from slam_bof.geometry import (
+    AlignmentParams,
+    JudgementParams,
+    ViewAligner,
+    judge,
+    make_view,
+    observe,
+    search_weak,
+)
+from slam_bof.types import Array, DepthFrame, Pose, Verification
 
 __all__ = ["ProjectiveParams", "ProjectiveVerifier"]
 
@@ -23,6 +31,9 @@ class ProjectiveParams(JudgementParams):
 
     alignment: AlignmentParams = AlignmentParams(
         n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_last_iterations=4
+    )
+    min_score_gain: float = Field(
+        0.01, ge=0, description="by which another pose must agree better to be taken"
     )
     max_blocking: float = Field(0.15, ge=0, le=1, description="before what the other sees")
 
@@ -69,19 +80,41 @@ class ProjectiveVerifier:
             T = self._aligner.align(query, ids, np.tile(np.eye(4), (len(ids), 1, 1, 1)))
         else:
             T = self._aligner.refine(query, ids, T_match_query)
+        held = [self._hold(query, int(k), T[n], T_match_query, n) for n, k in enumerate(ids)]
+        T = np.array([pose for pose, _ in held])
         overlap, blocking = self._aligner.seen(query, ids, T)
         pairs = self._aligner.surface_pairs(query, ids, T)
         return [
             judge(
                 self.params,
                 T[k],
-                *pairs[k],
+                pairs[k].residuals_m,
+                held[k][1],
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
                 objection=self._object(float(blocking[k])),
             )
             for k in range(len(ids))
         ]
+
+    def _hold(
+        self, query: int, match: int, T: Pose, T_match_query: Array | None, n: int
+    ) -> tuple[Pose, Array]:
+        """Return a pose that has been aligned as far as the surfaces hold it, and how firmly.
+
+        Where a pose nearby agrees better, it is searched for. Open directions stay as guessed.
+        """
+        held = observe(self._aligner, query, match, T)
+        if held is None:
+            return T, np.zeros((6, 6))
+        if held.best_shift_score > held.score + self.params.min_score_gain:
+            start = held.best_shift[None]
+            best, _, _ = search_weak(self._aligner, query, match, T, start)
+            if best is not T:
+                T, held = best, observe(self._aligner, query, match, best) or held
+        if T_match_query is not None:
+            T = held.keep_open(T, T_match_query[n])
+        return T, held.information
 
     def _object(self, blocking: float) -> str:
         if blocking <= self.params.max_blocking:

@@ -16,7 +16,10 @@ from slam_bof.geometry import se3
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.types import Array
 
-__all__ = ["Agreement", "Coverage", "Told", "agreement", "coverage", "tell"]
+__all__ = ["Agreement", "Coverage", "Scores", "Told", "agreement", "coverage", "scores", "tell"]
+
+SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
+"""Metres and shares of depth: coarse ones tell from afar, fine ones which of two is the better."""
 
 
 class Agreement(NamedTuple):
@@ -66,6 +69,57 @@ def tell(
     fixed, share = tolerance
     allowed = fixed + share * fallen.depth_m
     return Told(known & (np.abs(off) < allowed), known & (off < -allowed), known)
+
+
+class Scores(NamedTuple):
+    """How well poses (n,) of one pair of views agree: inliers less half of what stands in the way.
+
+    The mean over several tolerances, as a share of what can be compared.
+    """
+
+    score: Floats
+    visible_ratio: Floats
+    fall: Floats
+    """(n,) by how much less than the first one, over the points that both can compare."""
+    fall_error: Floats
+    """(n,) its standard error."""
+
+
+def scores(
+    views: ViewStack, query: int, match: int, T_match_query: Array, n_points: int = 400
+) -> Scores:
+    """Score poses (n, 4, 4) of a pair of views, and compare them with the first."""
+    n = len(T_match_query)
+    worth, known = [], []
+    for own, other, T in (
+        (query, match, T_match_query),
+        (match, query, se3.inverse(T_match_query)),
+    ):
+        fallen = views.fall(views.sampled(own, n_points), T.astype(np.float32))
+        there, _ = views.look(np.full(n, other), fallen)
+        off = fallen.depth_m - there
+        seen = there > 0
+        total = np.zeros(off.shape, np.float32)
+        for fixed, share in SCORE_TOLERANCES:
+            allowed = fixed + share * fallen.depth_m
+            total += np.abs(off) < allowed
+            total -= np.float32(0.5) * (off < -allowed)
+        total *= seen / np.float32(len(SCORE_TOLERANCES))
+        worth.append(total)
+        known.append(seen)
+    both, all_known = np.concatenate(worth, axis=1), np.concatenate(known, axis=1)
+    n_known = np.maximum(all_known.sum(axis=1), 1)
+    paired = all_known & all_known[0]
+    n_paired = np.maximum(paired.sum(axis=1), 1)
+    difference = (both[0] - both) * paired
+    fall = difference.sum(axis=1) / n_paired
+    variance = np.square(difference).sum(axis=1) / n_paired - np.square(fall)
+    return Scores(
+        both.sum(axis=1) / n_known,
+        np.minimum(known[0].mean(axis=1), known[1].mean(axis=1)),
+        fall,
+        np.sqrt(np.maximum(variance, 0.0) / n_paired),
+    )
 
 
 def agreement(

@@ -132,7 +132,13 @@ class KeyframeMap:
         self._scene_filter = SceneFilter(self._labels)
 
     def add(
-        self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
+        self,
+        frame_index: int,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        *,
+        segment: int,
+        step_covariance: Array | None = None,
     ) -> Verified:
         """Make a frame the newest keyframe; return what came of its candidates."""
         with self._clock.stage("describe"):
@@ -145,7 +151,9 @@ class KeyframeMap:
                     scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
                 )
         where = (len(self), frame_index, frame.stamp_s, T_odom_camera)
-        keyframe = Keyframe(*where, bag, scene, segment, smoothed, self.session)
+        keyframe = Keyframe(
+            *where, bag, scene, segment, smoothed, self.session, step_covariance
+        )
         return self.add_described(keyframe, frame)
 
     def add_described(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
@@ -181,7 +189,7 @@ class KeyframeMap:
         self._detector.remember(keyframe, frame, record.candidates)
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
-        loops = [loop for loop in record.measured if loop.kind == "loop"]
+        loops = [loop for loop in record.measured if loop.kind != "covisibility"]
         self._verification.admit(loops, self.graph.poses(), self.parts)
         self._close(keyframe, record.admitted)
 

@@ -54,7 +54,11 @@ def read_records(store: MapStore, *, as_before: int | None = None) -> Iterator[K
         )
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
-            replace(keyframe, T_odom_camera=poses[-1].T_odom_camera),
+            replace(
+                keyframe,
+                T_odom_camera=poses[-1].T_odom_camera,
+                step_covariance=poses[-1].covariance,
+            ),
             store.thin(views[0]),
             poses,
             tuple(map(candidate_of, own)),

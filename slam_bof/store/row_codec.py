@@ -161,22 +161,31 @@ def thin_of(row: Any, camera: Intrinsics) -> ThinDepth | None:
     return ThinDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
 
 
+POSE_BYTES = 12 * 8
+"""Of a pose's blob; a keyframe's is followed by its covariance, (6, 6)."""
+
+
 def frame_row(session: int, frame_index: int, frame: FramePose) -> Row:
     """Return the values of ``INSERT_FRAME``."""
     view = None if frame.T_view_camera is None else _blob(frame.T_view_camera[:3], "<f8")
-    poses = (_blob(frame.T_odom_raw[:3], "<f8"), _blob(frame.T_odom_camera[:3], "<f8"), view)
+    pose = _blob(frame.T_odom_camera[:3], "<f8")
+    if frame.covariance is not None:
+        pose += _blob(frame.covariance, "<f8")
+    poses = (_blob(frame.T_odom_raw[:3], "<f8"), pose, view)
     return (session, int(frame_index), float(frame.stamp_s), int(frame.segment), *poses)
 
 
 def frame_of(row: Any) -> FramePose:
     """Return the frame in a row of ``frames``."""
     view = row["T_view_camera"]
+    covariance = row["T_odom_camera"][POSE_BYTES:]
     return FramePose(
         row["stamp_s"],
         _whole(row["T_odom_raw"]),
-        _whole(row["T_odom_camera"]),
+        _whole(row["T_odom_camera"][:POSE_BYTES]),
         row["segment"],
         None if view is None else _whole(view),
+        np.frombuffer(covariance, "<f8").reshape(6, 6) if covariance else None,
     )
 
 

@@ -26,7 +26,9 @@ table           columns
 ``frames``      ``id``; every frame up to the newest keyframe (up to the last once the session is
                 finished): ``session``, ``frame_index``, ``stamp_s``, ``segment`` (-1: odometry
                 lost); ``T_odom_raw`` and ``T_odom_camera`` float64 (3, 4), by odometry and as
-                tracking has mended it; ``T_view_camera`` of point clouds, else null
+                tracking has mended it, of keyframes followed by float64 (6, 6), the
+                covariance of the step from the keyframe before; ``T_view_camera`` of
+                point clouds, else null
 ``candidates``  the audit trail, every pair considered: ``id`` and the fields of
                 ``slam_bof.types.Candidate``, null where not measured; ``decision``
                 is ``accepted``, ``rejected`` or ``held`` (never agreed with).

@@ -1,26 +1,37 @@
-"""Follow the camera beside its odometry: mend the odometry's slips, and notice when it is lost.
+"""Track the camera beside its odometry: correct small errors, and notice when it is lost.
 
-Each frame is aligned with the last keyframe, from where odometry has it, by some thousand points
-of a small view. Where it does not agree with what the keyframe sees, nor with what the frame
-before it saw, not even after a search about the place, the track is lost: a quick turn, a covered
-lens, an odometry that was started anew. It is found again at a frame that agrees with the last
-keyframe after all; or it starts anew once two frames in a row agree with each other.
+Each frame is registered to the last keyframe, from where odometry has it, by some thousand points
+of a small view. Other starts are tried where the two views agree less than they use to, or where
+another pose nearby agrees better. Which directions the surfaces hold is found out by shifting the
+pose (``geometry.observability``); the filter of ``odometry_fusion`` corrects odometry along these,
+and leaves it alone along the others.
 
-While the track is followed, odometry keeps as much say as it deserves (``fusion``): there is one
-that errs by less from frame to frame than an alignment.
+The track is lost where the views contradict odometry, surfaces of one stand where the other looks
+through, and no pose nearby mends that: a quick turn, an odometry that restarted. Where the views
+merely have little in common, odometry is believed. A lost track is found again at a frame that
+agrees with the last keyframe after all; or a new segment starts once two frames in a row agree.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
 
-from slam_bof.geometry import AlignmentParams, View, ViewAligner, make_view, se3
-from slam_bof.tracking.odometry_fusion import PoseFusion
-from slam_bof.types import DepthFrame, Params, Pose
+from slam_bof.geometry import (
+    AlignmentParams,
+    Observability,
+    View,
+    ViewAligner,
+    make_view,
+    observe,
+    se3,
+    search_weak,
+)
+from slam_bof.tracking.odometry_fusion import OdometryFusion
+from slam_bof.types import Array, DepthFrame, Params, Pose
 
 __all__ = ["Track", "Tracker", "TrackingParams"]
 
@@ -30,29 +41,43 @@ KEYFRAME, FRAME, BEFORE = 0, 1, 2
 MARGIN = 0.1
 """By so much must a pose by odometry agree better to be taken instead of the aligned one, which
 is more exact than agreement can tell."""
-USUAL = 0.5, 0.85
-"""What agreement is usual is said by the first frame after the first keyframe, between these ..."""
+REFERENCE_RANGE = 0.5, 0.85
+"""The first frame after the first keyframe sets the reference inlier ratio, between these ..."""
 FORGETTING = 0.1
-"""... and by each one since, at this weight."""
+"""... and each one since moves it, at this weight."""
 
 
 class TrackingParams(Params):
     """What a frame must have in common with the keyframe, or with the frame before.
 
-    Of the points that fall where the other view has a depth, agreement is the share that lies at
-    that depth. A wrong pose in the same room may reach 0.7; what a right one has depends on the
-    sensor (a structured-light camera 0.95, a stereo camera 0.8), so it is held against what is
-    usual.
+    Of the points that fall where the other view has a depth, the inlier ratio is the share that
+    lies at that depth. A wrong pose in the same room may reach 0.7; what a right one has depends on
+    the sensor (a structured-light camera 0.95, a stereo camera 0.8), so it is compared with its
+    running mean, the reference.
     """
 
     enabled: bool = Field(True, description="without, odometry is trusted as it is")
     alignment: AlignmentParams = AlignmentParams(
         n_points=1000, n_iterations=8, gates_m=(0.15, 0.03)
     )
-    less: float = Field(0.2, ge=0, le=1, description="than usual, of a frame that odometry has")
-    less_found: float = Field(0.1, ge=0, le=1, description="of one that had to be searched for")
-    min_compared: float = Field(0.2, ge=0, le=1, description="share of points that can be told")
-    min_compared_found: float = Field(0.4, ge=0, le=1)
+    max_inlier_drop: float = Field(
+        0.2, ge=0, le=1, description="below the reference, of a frame that is tracked"
+    )
+    max_inlier_drop_relocalised: float = Field(
+        0.1, ge=0, le=1, description="of one that had to be searched for"
+    )
+    min_visible_ratio: float = Field(0.2, ge=0, le=1, description="share of points compared")
+    min_visible_ratio_relocalised: float = Field(0.4, ge=0, le=1)
+    max_free_space_violation: float = Field(
+        0.15, ge=0, le=1, description="share of compared points before what the other view sees; "
+        "more, and no better pose nearby, and the track is lost",
+    )  # fmt: skip
+    max_score_drop: float = Field(
+        0.03, ge=0, description="of the agreement score below its mean; more, and others are tried"
+    )
+    min_score_gain: float = Field(
+        0.01, ge=0, description="by which another pose must agree better to be taken"
+    )
     min_pixels: float = Field(0.05, ge=0, le=1, description="share of pixels with a depth")
 
 
@@ -60,30 +85,39 @@ class TrackingParams(Params):
 class Track:
     """Where a frame is.
 
-    ``T_odom_camera`` (4, 4) is the odometry's pose with all its slips so far mended; while
-    ``is_lost`` it follows the odometry's motion, for want of better. ``segment`` counts how
-    often the track began anew: what the poses of two segments say of each other is a guess.
+    ``T_odom_camera`` (4, 4) is the odometry's pose, corrected by all that was registered so far;
+    while ``is_lost`` it follows the odometry's motion, for want of better. ``segment`` counts how
+    often the track started anew: what the poses of two segments say of each other is a guess.
     ``seen`` is the share of points that the last keyframe sees too, NaN where not measured.
+    ``covariance`` (6, 6) is of the pose since the last keyframe, rotation first, in rad and m;
+    ``open_axes`` (6, k) are directions in the camera's frame, a turn in rad, then metres, that the
+    surfaces in sight leave open.
     """
 
     T_odom_camera: Pose
     is_lost: bool
     segment: int
     seen: float
+    covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+    step_covariance: Array | None = None
+    """The same, None where odometry is not tracked and nothing is known of its errors."""
 
 
 class _Fit(NamedTuple):
-    """A pose of the frame, how far it agrees with a view, and by how much of either that is."""
+    """A pose of the frame, and how far it agrees with a view."""
 
     T_odom_frame: Pose
-    agreement: float
-    compared: float
+    inlier_ratio: float
+    visible_ratio: float
+    free_space_violation: float
+    held: Observability | None = None
 
 
 class _Found(NamedTuple):
     """Where a frame is, what the keyframe sees of it, and whether it follows the one before."""
 
-    T_odom_camera: Pose
+    fit: _Fit
     seen: float
     is_followed: bool
 
@@ -97,58 +131,85 @@ class Tracker:
         self.params = params or TrackingParams()
         self.n_lost = 0
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
+        self._seed = seed
         self._segment = segment
         self._is_lost = False
-        self._usual = float("nan")
+        self._reference = float("nan")
+        self._reference_score = float("nan")
         self._view: View | None = None
-        self._fusion = PoseFusion()
-        self._T_last = self._T_known = self._T_keyframe = np.eye(4)
+        self._fusion = OdometryFusion()
+        self._T_last = self._T_before = self._T_known = self._T_keyframe = np.eye(4)
 
-    def track(self, frame: DepthFrame, T_odom_camera: Pose) -> Track:
-        """Say where the frame is, given its pose (4, 4) by odometry."""
+    def track(
+        self, frame: DepthFrame, T_odom_camera: Pose, covariance: Array | None = None
+    ) -> Track:
+        """Say where the frame is, given its pose (4, 4) by odometry.
+
+        ``covariance`` (6, 6) is odometry's of the step since the frame before, rotation first,
+        along the camera's axes.
+        """
         if not self.params.enabled:
             return Track(T_odom_camera, False, self._segment, float("nan"))
         before, self._view = self._view, self._look(frame)
-        T_guess = self._fusion.predict(T_odom_camera)
+        T_guess = self._fusion.predict(T_odom_camera, covariance)
         found = self._find(before, T_guess)
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
-        T, seen, is_followed = found or _Found(T_guess, float("nan"), False)
-        if is_followed:
-            T = self._fusion.fuse(T_odom_camera, T)
-        T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
-        if not is_followed:
-            self._fusion.restart(T_odom_camera, T)
-        if not is_lost:
+        T, seen, open_axes = T_guess, float("nan"), np.empty((6, 0))
+        if found is not None:
+            T, seen = found.fit.T_odom_frame, found.seen
+            held = found.fit.held
+            if held is not None:
+                open_axes = held.open_axes_camera
+            if found.is_followed and held is not None:
+                T = self._fusion.fuse(T, held.information)
+            elif not found.is_followed:
+                T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+                covariance = None if held is None else np.linalg.inv(held.information + np.eye(6))
+                self._fusion.restart(T_odom_camera, T, covariance)
             self._T_known = T
-        self._T_last, self._is_lost = T, is_lost
-        return Track(T, is_lost, self._segment, seen)
+        self._T_before, self._T_last, self._is_lost = self._T_last, T, is_lost
+        covariance = self._fusion.covariance
+        return Track(T, is_lost, self._segment, seen, covariance, open_axes, covariance)
 
     def keep(self) -> None:
-        """Make the last frame the keyframe that the next ones are aligned with."""
+        """Make the last frame the keyframe that the next ones are registered to."""
+        if self._view is not None or not self.params.enabled:
+            self._T_keyframe = self._T_last
+            self._fusion.change_reference()
         if self._view is not None:
             self._aligner.truncate(KEYFRAME)
             self._aligner.add(self._view)
-            self._T_keyframe = self._T_last
-            self._fusion.change_reference()
 
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
-        usual = None if np.isnan(self._usual) else self._usual
-        return {"n_lost": self.n_lost, "usual": usual, "fusion": self._fusion.state()}
+        reference, score = (
+            None if np.isnan(x) else x for x in (self._reference, self._reference_score)
+        )
+        return {
+            "n_lost": self.n_lost,
+            "reference_inlier_ratio": reference,
+            "reference_score": score,
+            "T_before": self._T_before.tolist(),
+            "fusion": self._fusion.state(),
+        }
 
     def restore(self, state: dict[str, Any], frame: DepthFrame, track: Track) -> None:
         """Go on from a keyframe: its frame, and where it was found to be."""
         self.n_lost = state["n_lost"]
-        self._usual = float("nan") if state["usual"] is None else state["usual"]
+        self._reference, self._reference_score = (
+            float("nan") if x is None else x
+            for x in (state["reference_inlier_ratio"], state["reference_score"])
+        )
         self._segment = track.segment
         if self.params.enabled:
             self._view = self._look(frame)
             self._is_lost = False
             self._T_last = self._T_known = track.T_odom_camera
+            self._T_before = np.array(state["T_before"])
             self.keep()
-            self._fusion.restore(state["fusion"])
+        self._fusion.restore(state["fusion"])
 
     def _look(self, frame: DepthFrame) -> View | None:
         """Return the frame's view if it shows enough."""
@@ -161,47 +222,89 @@ class Tracker:
         if self._view is None:
             return None
         if len(self._aligner) == 0:
-            return _Found(T_guess, 1.0, False)
+            return _Found(_Fit(T_guess, 1.0, 1.0, 0.0), 1.0, False)
         self._aligner.truncate(FRAME)
         self._aligner.add(self._view)
-        followed = self._follow(KEYFRAME, self._T_keyframe, T_guess)
-        seen = followed.agreement * followed.compared
-        if np.isnan(self._usual):
-            self._usual = float(np.clip(followed.agreement, *USUAL))
-        if not self._is_lost and self._is_usual(followed):
-            self._usual += FORGETTING * (followed.agreement - self._usual)
-            return _Found(followed.T_odom_frame, seen, True)
+        tracked = self._register(KEYFRAME, self._T_keyframe, T_guess)
+        seen = tracked.inlier_ratio * tracked.visible_ratio
+        if np.isnan(self._reference):
+            self._reference = float(np.clip(tracked.inlier_ratio, *REFERENCE_RANGE))
+        if not self._is_lost and self._is_tracked(tracked):
+            self._reference += FORGETTING * (tracked.inlier_ratio - self._reference)
+            return _Found(tracked, seen, True)
         from_before = None
         if before is not None:
             self._aligner.add(before)
-            from_before = self._follow(BEFORE, self._T_last, T_guess)
-            if not self._is_lost and self._is_usual(from_before):
-                return _Found(from_before.T_odom_frame, seen, False)
+            from_before = self._register(BEFORE, self._T_last, T_guess)
+            if not self._is_lost and self._is_tracked(from_before):
+                return _Found(from_before, seen, False)
         searched = self._search(T_guess)
-        if self._is_good(searched):
-            return _Found(searched.T_odom_frame, searched.agreement * searched.compared, False)
-        if self._is_lost and from_before and self._is_good(from_before):
+        if self._is_relocalised(searched):
+            return _Found(searched, searched.inlier_ratio * searched.visible_ratio, False)
+        if self._is_lost and from_before and self._is_relocalised(from_before):
             self._segment += 1
-            return _Found(from_before.T_odom_frame, 0.0, False)
+            return _Found(from_before, 0.0, False)
+        if not self._is_lost and not self._is_contradicted(T_guess, before):
+            return _Found(_Fit(T_guess, np.nan, np.nan, np.nan), float("nan"), True)
         return None
 
-    def _is_usual(self, fit: _Fit) -> bool:
+    def _is_tracked(self, fit: _Fit) -> bool:
         p = self.params
-        return fit.compared >= p.min_compared and fit.agreement >= self._usual - p.less
+        return (
+            fit.visible_ratio >= p.min_visible_ratio
+            and fit.inlier_ratio >= self._reference - p.max_inlier_drop
+        )
 
-    def _is_good(self, fit: _Fit) -> bool:
+    def _is_relocalised(self, fit: _Fit) -> bool:
         p = self.params
-        return fit.compared >= p.min_compared_found and fit.agreement >= self._usual - p.less_found
+        return (
+            fit.visible_ratio >= p.min_visible_ratio_relocalised
+            and fit.inlier_ratio >= self._reference - p.max_inlier_drop_relocalised
+        )
 
-    def _follow(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Fit:
-        """Align the frame with a view from where odometry has it."""
+    def _is_contradicted(self, T_guess: Pose, before: View | None) -> bool:
+        """Tell whether either view that the frame can be compared with contradicts odometry."""
+        limit = self.params.max_free_space_violation
+        views = [(KEYFRAME, self._T_keyframe)]
+        if before is not None:
+            views.append((BEFORE, self._T_last))
+        fits = [self._fit(k, T, se3.inverse(T) @ T_guess) for k, T in views]
+        return any(fit.free_space_violation > limit for fit in fits)
+
+    def _register(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Fit:
+        """Align the frame with a view from where odometry has it, or from elsewhere if in doubt."""
+        p = self.params
         T_view_guess = se3.inverse(T_odom_view) @ T_guess
-        T_view_mended = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
-        mended = self._fit(view_id, T_odom_view, T_view_mended)
-        if mended.agreement > 1.0 - MARGIN:
-            return mended
-        guessed = self._fit(view_id, T_odom_view, T_view_guess)
-        return guessed if guessed.agreement > mended.agreement + MARGIN else mended
+        T = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
+        fit = self._fit(view_id, T_odom_view, T)
+        if fit.inlier_ratio <= 1.0 - MARGIN:
+            guessed = self._fit(view_id, T_odom_view, T_view_guess)
+            if guessed.inlier_ratio > fit.inlier_ratio + MARGIN:
+                fit, T = guessed, T_view_guess
+        held = observe(self._aligner, FRAME, view_id, T)
+        if held is None:
+            return fit
+        is_better_near = held.best_shift_score > held.score + p.min_score_gain
+        if is_better_near or held.score < self._reference_score - p.max_score_drop:
+            starts = [held.best_shift] if is_better_near else []
+            last, before = self._T_last, self._T_before
+            for T_odom_start in (last @ se3.inverse(before) @ last, last):
+                starts.append(se3.inverse(T_odom_view) @ T_odom_start)
+            T_best, _, _ = search_weak(
+                self._aligner, FRAME, view_id, T, np.array(starts),
+                min_gain=p.min_score_gain, seed=self._seed,
+            )  # fmt: skip
+            if T_best is not T:
+                T = T_best
+                fit = self._fit(view_id, T_odom_view, T)
+                held = observe(self._aligner, FRAME, view_id, T) or held
+        if view_id == KEYFRAME:
+            mean = self._reference_score
+            self._reference_score = (
+                held.score if np.isnan(mean) else mean + FORGETTING * (held.score - mean)
+            )
+        T_odom_frame = T_odom_view @ held.keep_open(T, T_view_guess)
+        return fit._replace(T_odom_frame=T_odom_frame, held=held)
 
     def _search(self, T_guess: Pose) -> _Fit:
         """Align it with the keyframe from poses about the guess, and about the last one known."""
@@ -212,5 +315,8 @@ class Tracker:
     def _fit(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> _Fit:
         """Measure how far the frame agrees with a view at a pose."""
         found = self._aligner.agreement(FRAME, np.array([view_id]), T_view_frame[None])
-        seen, compared = float(found.seen[0]), float(found.compared[0])
-        return _Fit(T_odom_view @ T_view_frame, seen / max(compared, 1e-9), compared)
+        visible_ratio = float(found.compared[0])
+        inlier_ratio, violation = (
+            float(x[0]) / max(visible_ratio, 1e-9) for x in (found.seen, found.blocking)
+        )
+        return _Fit(T_odom_view @ T_view_frame, inlier_ratio, visible_ratio, 0.5 * violation)
