@@ -15,6 +15,7 @@ from pydantic import Field
 from slam_bof.geometry import (
     AlignmentParams,
     JudgementParams,
+    PosePrior,
     ViewAligner,
     judge,
     make_view,
@@ -26,14 +27,15 @@ from slam_bof.types import Array, DepthFrame, Pose, Verification
 __all__ = ["ProjectiveParams", "ProjectiveVerifier"]
 
 
+PRIOR = np.diag(np.square(np.repeat([0.02, 0.05], 3)))
+"""Covariance, rad^2 and m^2, of the pose that an alignment ends with."""
+
+
 class ProjectiveParams(JudgementParams):
     """What two views of the same surfaces must have in common."""
 
     alignment: AlignmentParams = AlignmentParams(
         n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_last_iterations=4
-    )
-    min_score_gain: float = Field(
-        0.01, ge=0, description="by which another pose must agree better to be taken"
     )
     max_blocking: float = Field(0.15, ge=0, le=1, description="before what the other sees")
 
@@ -107,9 +109,10 @@ class ProjectiveVerifier:
         held = observe(self._aligner, query, match, T)
         if held is None:
             return T, np.zeros((6, 6))
-        if held.best_shift_score > held.score + self.params.min_score_gain:
+        if held.is_better_near:
+            prior = PosePrior(T, PRIOR)
             start = held.best_shift[None]
-            best, _, _ = search_weak(self._aligner, query, match, T, start)
+            best, _, _ = search_weak(self._aligner, query, match, T, start, prior)
             if best is not T:
                 T, held = best, observe(self._aligner, query, match, best) or held
         if T_match_query is not None:

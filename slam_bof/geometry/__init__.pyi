@@ -24,6 +24,7 @@ from .gravity import (
 )
 from .observability import (
     Observability as Observability,
+    PosePrior as PosePrior,
     is_partial as is_partial,
     observe as observe,
     plane_information as plane_information,

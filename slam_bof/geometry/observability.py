@@ -18,7 +18,7 @@ from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.geometry.visibility import scores
 from slam_bof.types import Array, Pose
 
-__all__ = ["Observability", "is_partial", "observe", "plane_information", "search_weak"]
+__all__ = ["Observability", "PosePrior", "is_partial", "observe", "plane_information", "search_weak"]
 
 WEAK = 0.04
 """Share of information below which a direction is tried by shifts."""
@@ -28,17 +28,36 @@ MIN_FALL = 0.02
 """A smaller fall of the agreement score leaves a direction open ..."""
 MIN_FALL_SIGMAS = 3.0
 """... and so does one of fewer standard errors: this is how the sensor's own noise comes in."""
-NOISE_INFORMATION = 0.002
+MIN_GAIN, MIN_GAIN_SIGMAS = 0.01, 1.0
+"""Another pose must agree better by at least so much, and so many standard errors."""
+MAX_DISTANCE = 25.0
+"""No pose is less likely than by so many standard errors squared: odometry may slip."""
+NOISE_INFORMATION = 0.0008
 """Share of information that normals' noise may feign."""
 OPEN_INFORMATION = 1e-6
 """Share of information along open directions, next to none."""
-CORRELATED = 25.0
+MIN_FALL_ERROR = 0.005
+CORRELATED = 8.0
 """Neighbouring pixels err alike: so many count as one."""
 FLOOR_M = 0.002
 """Standard error that no number of points takes away: calibration, steps of depth."""
-MAX_OPEN_M = 0.3
+MAX_OPEN_M = 0.2
 """A standard error greater than this is of no use to a loop."""
+MIN_RADIUS_M = 0.05
 MIN_PAIRS = 30
+
+
+class PosePrior(NamedTuple):
+    """Where a pose (4, 4) should be, with what covariance (6, 6), rotation first."""
+
+    T_match_query: Pose
+    covariance: Array
+
+    def distance(self, T: Array) -> Array:
+        """Return the squared distances (n,) of poses (n, 4, 4), in standard errors, bounded."""
+        off = se3.log(se3.inverse(self.T_match_query) @ T)
+        whitened = np.einsum("ni,ij,nj->n", off, np.linalg.inv(self.covariance), off)
+        return np.asarray(np.minimum(whitened, MAX_DISTANCE))
 
 
 class Observability(NamedTuple):
@@ -61,8 +80,8 @@ class Observability(NamedTuple):
     score: float
     best_shift: Pose
     """(4, 4) ``T_match_query`` of the best shifted pose, and ..."""
-    best_shift_score: float
-    """... its agreement, which may be better than that of the pose itself."""
+    is_better_near: bool
+    """... whether that agrees better than the pose itself, beyond chance."""
 
     @property
     def open_axes(self) -> Array:
@@ -74,6 +93,15 @@ class Observability(NamedTuple):
         """The open directions as tangents of the query's pose, (6, k), rotation first."""
         turns = self.open_axes[:3] / self.radius_m
         return np.concatenate([turns, self.open_axes[3:] + np.cross(self.centre, turns, axisb=0).T])
+
+    def weak_sigma_m(self, covariance: Array) -> float:
+        """Return the greatest standard error, in m, along weak directions of a prior (6, 6)."""
+        weak = self.axes[:, np.isfinite(self.falls)]
+        if weak.shape[1] == 0:
+            return 0.0
+        to_displacement = _displacement_of_tangent(self.centre, self.radius_m)
+        spread = to_displacement @ covariance @ to_displacement.T
+        return float(np.sqrt(np.einsum("ik,ij,jk->k", weak, spread, weak).max()))
 
     def keep_open(self, T: Pose, T_guess: Pose) -> Pose:
         """Return a pose (4, 4) as ``T_guess`` has it along open directions, as ``T`` else."""
@@ -110,13 +138,15 @@ def observe(
     fall, error = fall[1:].reshape(2, -1), error[1:].reshape(2, -1)
     falls = np.full(6, np.inf)
     falls[weak] = fall.max(axis=0)
+    sigmas = np.full(6, np.inf)
+    sigmas[weak] = (fall / np.maximum(error, MIN_FALL_ERROR)).max(axis=0)
     is_open = np.zeros(6, dtype=bool)
     is_open[weak] = (fall < np.maximum(MIN_FALL, MIN_FALL_SIGMAS * error)).all(axis=0)
     best = int(np.argmin(found.fall[1:])) + 1 if len(weak) else 0
     return Observability(
         centre, radius_m, axes, falls, is_open,
-        _information(pairs, centre, radius_m, values, axes, falls, is_open),
-        float(found.score[0]), T[best], float(found.score[0] - found.fall[best]),
+        _information(pairs, centre, radius_m, values, axes, sigmas, is_open),
+        float(found.score[0]), T[best], bool(-found.fall[best] > max(MIN_GAIN, MIN_GAIN_SIGMAS * found.fall_error[best])),
     )  # fmt: skip
 
 
@@ -128,7 +158,7 @@ def principal_directions(pairs: SurfacePairs) -> tuple[Array, float, Array, Arra
     points = pairs.points_query
     centre = points.mean(axis=0)
     offsets = points - centre
-    radius_m = float(np.sqrt(np.square(offsets).sum(axis=1).mean()))
+    radius_m = max(float(np.sqrt(np.square(offsets).sum(axis=1).mean())), MIN_RADIUS_M)
     offsets = offsets / radius_m
     by_query, by_match = (
         np.hstack([np.cross(offsets, normals), normals])
@@ -151,8 +181,8 @@ def plane_information(
         return np.zeros((6, 6))
     centre, radius_m, values, axes = principal_directions(pairs)
     is_open = values < 2.0 * NOISE_INFORMATION
-    falls = np.full(6, np.inf)
-    return _information(pairs, centre, radius_m, values, axes, falls, is_open)
+    sigmas = np.where(is_open, 0.0, np.inf)
+    return _information(pairs, centre, radius_m, values, axes, sigmas, is_open)
 
 
 def is_partial(information: Array, *, lever_m: float = 1.0) -> bool:
@@ -167,12 +197,15 @@ def search_weak(
     match: int,
     T_match_query: Pose,
     starts: Array,
+    prior: PosePrior,
     *,
-    min_gain: float = 0.01,
     rounds: tuple[tuple[int, float, int], ...] = ((64, 0.15, 4), (32, 0.06, 2)),
     seed: int = 0,
 ) -> tuple[Pose, float, float]:
     """Look for a better pose from other starts (n, 4, 4), then along the weakly held directions.
+
+    Another pose must agree better beyond chance, and the farther it is from where the prior has it
+    the more so: what it gains, in standard errors squared, must exceed what it costs.
 
     Returns the best pose (4, 4), its agreement score, and that of ``T_match_query``.
     """
@@ -181,15 +214,18 @@ def search_weak(
     here = scores(aligner.views, query, match, best[None])
     best_score = first_score = float(here.score[0])
     visible = float(here.visible_ratio[0])
-    matches = np.zeros(max(n for n, _, _ in rounds), dtype=np.int64) + match
 
     def take(tried: Array) -> None:
         nonlocal best, best_score
-        T = aligner.refine(query, np.full(len(tried), match), tried)
+        T = np.array([best, *aligner.refine(query, np.full(len(tried), match), tried)])
         found = scores(aligner.views, query, match, T)
         score = np.where(found.visible_ratio >= 0.8 * visible, found.score, -np.inf)
-        k = int(np.argmax(score))
-        if score[k] > best_score + min_gain:
+        gain = np.minimum(score - score[0], -found.fall)
+        cost = prior.distance(T) - prior.distance(T[:1])
+        sigmas = np.sqrt(MIN_GAIN_SIGMAS**2 + np.maximum(cost, 0.0))
+        worth = gain - np.maximum(MIN_GAIN, sigmas * found.fall_error)
+        k = int(np.argmax(np.where(worth[1:] > 0.0, gain[1:], -np.inf))) + 1
+        if worth[k] > 0.0:
             best, best_score = T[k], float(score[k])
 
     if len(starts):
@@ -202,7 +238,7 @@ def search_weak(
         weak = axes[:, : int(np.clip((values < WEAK).sum(), 1, 4))]
         displacements = sigma_m * rng.standard_normal((n, weak.shape[1])) @ weak.T
         tried = best @ displace(displacements, centre, radius_m)
-        coarse = aligner.score_poses(query, matches[:1], tried[None])[0]
+        coarse = aligner.score_poses(query, np.array([match]), tried[None])[0]
         take(tried[np.argsort(-coarse, kind="stable")[:n_best]])
     return best, best_score, first_score
 
@@ -218,24 +254,35 @@ def displace(displacement: Array, centre: Array, radius_m: float) -> Pose:
 
 def _information(
     pairs: SurfacePairs, centre: Array, radius_m: float, values: Array, axes: Array,
-    falls: Array, is_open: NDArray[np.bool_],
+    fall_sigmas: Array, is_open: NDArray[np.bool_],
 ) -> Array:  # fmt: skip
-    """Return the information (6, 6) of the tangent of the pose, rotation first."""
+    """Return the information (6, 6) of the tangent of the pose, rotation first.
+
+    ``fall_sigmas`` (6,) are falls in standard errors, infinite where none was measured.
+    """
     spread_m = 1.4826 * float(np.median(np.abs(pairs.residuals_m))) + 1e-4
     n_independent = len(pairs.residuals_m) / CORRELATED
     by_planes = np.maximum(values - NOISE_INFORMATION, OPEN_INFORMATION)
     information = by_planes * n_independent / spread_m**2
-    # What depth edges hold, the planes do not: agreement falls by so much over the shift.
-    firm = np.isfinite(falls) & ~is_open
-    by_edges = np.where(firm, np.maximum(falls, 0.0) / 0.02, 0.0) / SHIFT_M**2
-    information = np.where(firm, np.maximum(information, by_edges), information)
-    information[is_open] = OPEN_INFORMATION
+    # Planes say nothing of what depth edges hold: agreement falls steadily over the shift, so the
+    # pose is known to the part of it over which the fall is one standard error.
+    # Where it hardly falls, planes are not believed either.
+    doubt = np.where(np.isfinite(fall_sigmas), np.maximum(fall_sigmas, 0.0), MIN_FALL_SIGMAS)
+    information = information * np.square(np.minimum(doubt / MIN_FALL_SIGMAS, 1.0))
+    information = np.maximum(information, np.square(doubt / SHIFT_M) * np.isfinite(fall_sigmas))
+    information = np.where(is_open, np.minimum(information, MAX_OPEN_M**-2), information)
+    information = np.maximum(information, OPEN_INFORMATION)
     information = 1.0 / (1.0 / information + FLOOR_M**2)
     scaled = (axes * information) @ axes.T
-    # A tangent about the camera, as displacements about the centre.
+    A = _displacement_of_tangent(centre, radius_m)
+    return np.asarray(A.T @ scaled @ A)
+
+
+def _displacement_of_tangent(centre: Array, radius_m: float) -> Array:
+    """Return the (6, 6) that makes a tangent about the camera a displacement about the centre."""
     A = np.zeros((6, 6))
     A[:3, :3] = radius_m * np.eye(3)
     x, y, z = centre
     A[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
     A[3:, 3:] = np.eye(3)
-    return np.asarray(A.T @ scaled @ A)
+    return A

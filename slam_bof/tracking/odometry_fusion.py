@@ -21,7 +21,7 @@ __all__ = ["OdometryFusion"]
 
 DRIFT = np.repeat([0.003, 0.006], 3)
 """Odometry's errors for each metre, rad and m, as long as nothing is known of them."""
-MIN_DRIFT, MAX_DRIFT = 0.02 * DRIFT, 100.0 * DRIFT
+MIN_DRIFT, MAX_DRIFT = 0.02 * DRIFT, 300.0 * DRIFT
 LENGTH_M = 1.0
 """Over such a way errors of odometry are much the same; over longer ones they are independent."""
 TURN_M = 0.4
@@ -35,7 +35,13 @@ LEARNING_M = 0.5
 FRESH_M = 0.05
 """Alignments from places nearer than this to each other err alike: the nearer, the less new."""
 MIN_FRESH = 0.1
-SLIP_SIGMAS = 6.0
+ISOTROPY = 0.25
+"""Variance along an axis is at least this share of the greatest one ..."""
+LEVER_M = 2.0
+"""... and that of turns this share of what moves points so far away as much."""
+MAX_GROWTH = 16.0
+"""Of what is known of their variance, at most, from one keyframe to the next."""
+SLIP_SIGMAS = 8.0
 """Disagreement by more standard deviations is a slip of odometry."""
 MAX_VARIANCE = 1.0
 """Of an alignment along open directions, rad^2 and m^2."""
@@ -118,7 +124,7 @@ class OdometryFusion:
         self._way_m += self._step_m
         self._covariance = back @ self._covariance @ back.T
         if covariance is None:
-            growth = np.diag(self._drift) * (LENGTH_M * self._step_m)
+            growth = np.diag(_spread(self._drift)) * (LENGTH_M * self._step_m)
         else:
             growth = covariance
         self._covariance = self._covariance + growth
@@ -171,7 +177,7 @@ class OdometryFusion:
         off = se3.log(se3.inverse(T_odometry) @ T_aligned)
         reach = way_m * min(way_m, LENGTH_M)
         variance, squares = np.diag(noise), np.square(off)
-        drift = np.maximum(squares - variance, 0.0) / reach
+        drift = np.clip((squares - variance) / reach, 0.0, MAX_GROWTH * self._drift)
         # Where alignments err by more than odometry can have, nothing is learnt.
         signal = np.maximum(self._drift * reach, squares - variance)
         rate = 1.0 - np.exp(-self._way_m / LEARNING_M)
@@ -187,6 +193,16 @@ class OdometryFusion:
         self._T_reference_odometry: Pose = np.eye(4)
         self._leg: _Leg | None = None
         self._is_given = False
+
+
+def _spread(drift: Array) -> Array:
+    """Let no variance (6,) fall far below that of its neighbours: where odometry slides, it turns.
+
+    What is seen of an error along one combination of axes else is taken for the least known one.
+    """
+    turns, shifts = drift[:3], drift[3:]
+    turns = np.maximum(turns, ISOTROPY * max(turns.max(), shifts.max() / LEVER_M**2))
+    return np.concatenate([turns, np.maximum(shifts, ISOTROPY * shifts.max())])
 
 
 def _covariance_of(information: Array) -> Array:

@@ -23,6 +23,7 @@ from pydantic import Field
 from slam_bof.geometry import (
     AlignmentParams,
     Observability,
+    PosePrior,
     View,
     ViewAligner,
     make_view,
@@ -43,6 +44,8 @@ MARGIN = 0.1
 is more exact than agreement can tell."""
 REFERENCE_RANGE = 0.5, 0.85
 """The first frame after the first keyframe sets the reference inlier ratio, between these ..."""
+PRIOR_FLOOR = np.diag(np.square(np.repeat([0.002, 0.005], 3)))
+"""Of where a frame should be, beyond what odometry errs by."""
 FORGETTING = 0.1
 """... and each one since moves it, at this weight."""
 
@@ -75,9 +78,10 @@ class TrackingParams(Params):
     max_score_drop: float = Field(
         0.03, ge=0, description="of the agreement score below its mean; more, and others are tried"
     )
-    min_score_gain: float = Field(
-        0.01, ge=0, description="by which another pose must agree better to be taken"
-    )
+    max_weak_sigma_m: float = Field(
+        0.03, ge=0, description="of odometry along directions that the surfaces hold weakly; more, "
+        "and others are tried",
+    )  # fmt: skip
     min_pixels: float = Field(0.05, ge=0, le=1, description="share of pixels with a depth")
 
 
@@ -284,15 +288,18 @@ class Tracker:
         held = observe(self._aligner, FRAME, view_id, T)
         if held is None:
             return fit
-        is_better_near = held.best_shift_score > held.score + p.min_score_gain
-        if is_better_near or held.score < self._reference_score - p.max_score_drop:
-            starts = [held.best_shift] if is_better_near else []
+        prior = PosePrior(T_view_guess, self._fusion.covariance + PRIOR_FLOOR)
+        if (
+            held.is_better_near
+            or held.score < self._reference_score - p.max_score_drop
+            or held.weak_sigma_m(prior.covariance) > p.max_weak_sigma_m
+        ):
+            starts = [held.best_shift] if held.is_better_near else []
             last, before = self._T_last, self._T_before
             for T_odom_start in (last @ se3.inverse(before) @ last, last):
                 starts.append(se3.inverse(T_odom_view) @ T_odom_start)
             T_best, _, _ = search_weak(
-                self._aligner, FRAME, view_id, T, np.array(starts),
-                min_gain=p.min_score_gain, seed=self._seed,
+                self._aligner, FRAME, view_id, T, np.array(starts), prior, seed=self._seed
             )  # fmt: skip
             if T_best is not T:
                 T = T_best
@@ -303,8 +310,7 @@ class Tracker:
             self._reference_score = (
                 held.score if np.isnan(mean) else mean + FORGETTING * (held.score - mean)
             )
-        T_odom_frame = T_odom_view @ held.keep_open(T, T_view_guess)
-        return fit._replace(T_odom_frame=T_odom_frame, held=held)
+        return fit._replace(held=held)
 
     def _search(self, T_guess: Pose) -> _Fit:
         """Align it with the keyframe from poses about the guess, and about the last one known."""
