@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.geometry import se3
+from slam_bof.geometry import is_partial, se3
 from slam_bof.loops.component_joining import JoinGate, JoinParams
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.places import Compare
@@ -112,6 +112,8 @@ class LoopVerification:
                 reason = verified.reason or self._object(candidate, verified, T_map_camera, parts)
                 decision = "rejected" if reason else "accepted"
             if decision == "accepted":
+                if candidate.kind == "loop" and is_partial(verified.information):
+                    candidate = replace(candidate, kind="partial")
                 loop = Loop(
                     candidate.query_id,
                     candidate.match_id,
@@ -120,7 +122,7 @@ class LoopVerification:
                     candidate.kind,
                     candidate.source,
                 )
-                (loops if candidate.kind == "loop" else edges).append(loop)
+                (edges if candidate.kind == "covisibility" else loops).append(loop)
             judged.append(
                 replace(
                     candidate,
@@ -138,7 +140,11 @@ class LoopVerification:
     ) -> list[Loop]:
         """Take the newest keyframe's verified loops; return those that others agree with now."""
         within = [loop for loop in loops if parts[loop.query_id] == parts[loop.match_id]]
-        between = [loop for loop in loops if parts[loop.query_id] != parts[loop.match_id]]
+        between = [
+            loop
+            for loop in loops
+            if parts[loop.query_id] != parts[loop.match_id] and loop.kind != "partial"
+        ]
         admitted = self._gate.admit(within, T_map_camera)
         return admitted + self._join_gate.admit(between, T_map_camera, parts)
 
@@ -230,7 +236,8 @@ def _hold(
 
     def hold(candidate: Candidate) -> Candidate:
         pair = candidate.query_id, candidate.match_id
-        if candidate.decision != "accepted" or candidate.kind != "loop" or pair in pairs:
+        is_edge = candidate.kind == "covisibility"
+        if candidate.decision != "accepted" or is_edge or pair in pairs:
             return candidate
         reason = "no loop of another keyframe agrees with it"
         if parts[candidate.query_id] != parts[candidate.match_id]:
