@@ -221,9 +221,13 @@ class GtsamBackend:
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
 
 
-def _plain(factor: gtsam.BetweenFactorPose3) -> gtsam.BetweenFactorPose3:
+def _plain(factor: Any) -> gtsam.BetweenFactorPose3:
     """Return a factor without its robust kernel."""
     noise = factor.noiseModel()
     if not isinstance(noise, gtsam.noiseModel.Robust):
         return factor
-    return gtsam.BetweenFactorPose3(*factor.keys(), factor.measured(), noise.noise())
+    match, query = factor.keys()
+    plain: gtsam.BetweenFactorPose3 = gtsam.BetweenFactorPose3(
+        match, query, factor.measured(), noise.noise()
+    )
+    return plain

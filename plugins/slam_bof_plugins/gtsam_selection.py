@@ -160,9 +160,7 @@ def _settle(
     graph = _chain(T_odom_camera, segments, gtsam.noiseModel.Robust.Create(kernel, steady))
     for edge, covariance in zip(edges, covariances, strict=True):
         noise = _loosened(covariance, params.local_sigma)
-        graph.add(
-            gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
-        )
+        graph.add(gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise)))
     return poses_of(optimized(graph, _values(T_odom_camera)))
 
 

@@ -18,7 +18,14 @@ from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.geometry.visibility import scores
 from slam_bof.types import Array, Pose
 
-__all__ = ["Observability", "PosePrior", "is_partial", "observe", "plane_information", "search_weak"]
+__all__ = [
+    "Observability",
+    "PosePrior",
+    "is_partial",
+    "observe",
+    "plane_information",
+    "search_weak",
+]
 
 WEAK = 0.04
 """Share of information below which a direction is tried by shifts."""
@@ -143,10 +150,11 @@ def observe(
     is_open = np.zeros(6, dtype=bool)
     is_open[weak] = (fall < np.maximum(MIN_FALL, MIN_FALL_SIGMAS * error)).all(axis=0)
     best = int(np.argmin(found.fall[1:])) + 1 if len(weak) else 0
+    least_gain = max(MIN_GAIN, MIN_GAIN_SIGMAS * float(found.fall_error[best]))
     return Observability(
         centre, radius_m, axes, falls, is_open,
         _information(pairs, centre, radius_m, values, axes, sigmas, is_open),
-        float(found.score[0]), T[best], bool(-found.fall[best] > max(MIN_GAIN, MIN_GAIN_SIGMAS * found.fall_error[best])),
+        float(found.score[0]), T[best], bool(-found.fall[best] > least_gain),
     )  # fmt: skip
 
 

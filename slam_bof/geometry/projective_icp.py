@@ -345,7 +345,7 @@ def _leverage(normals: Floats, matched: NDArray[np.bool_]) -> Floats:
     spread = kept @ kept.transpose(0, 2, 1) / count
     spread = spread + MIN_SPREAD * np.eye(3, dtype=np.float32)
     leverage = _dot(normals, np.linalg.inv(spread) @ normals)
-    return np.minimum(leverage * np.float32(1.0 / 3.0), MAX_LEVERAGE)
+    return np.asarray(np.minimum(leverage * np.float32(1.0 / 3.0), MAX_LEVERAGE))
 
 
 def _exp(tangent: Floats) -> Floats:

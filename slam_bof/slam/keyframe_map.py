@@ -151,9 +151,7 @@ class KeyframeMap:
                     scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
                 )
         where = (len(self), frame_index, frame.stamp_s, T_odom_camera)
-        keyframe = Keyframe(
-            *where, bag, scene, segment, smoothed, self.session, step_covariance
-        )
+        keyframe = Keyframe(*where, bag, scene, segment, smoothed, self.session, step_covariance)
         return self.add_described(keyframe, frame)
 
     def add_described(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:

@@ -39,6 +39,8 @@ ISOTROPY = 0.25
 """Variance along an axis is at least this share of the greatest one ..."""
 LEVER_M = 2.0
 """... and that of turns this share of what moves points so far away as much."""
+DRIFT_SIGMAS = 2.5
+"""Odometry must be off by more standard errors of the alignments to have drifted."""
 MAX_GROWTH = 16.0
 """Of what is known of their variance, at most, from one keyframe to the next."""
 SLIP_SIGMAS = 8.0
@@ -65,7 +67,11 @@ class OdometryFusion:
         self._T_last_track: Pose = np.eye(4)
         self._step_m = 0.0
         self._legs: list[_Leg] = []
-        self._restart_reference()
+        self._leg: _Leg | None = None
+        self._T_keyframe = self._T_reference_odometry = np.eye(4)
+        self._way_m = 0.0
+        self._is_given = False
+        self._covariance = np.zeros((6, 6))
 
     @property
     def covariance(self) -> Array:
@@ -75,7 +81,7 @@ class OdometryFusion:
     @property
     def drift(self) -> Array:
         """Odometry's errors for each metre as learnt: (6,) rad and m, along the camera's axes."""
-        return np.sqrt(self._drift)
+        return np.asarray(np.sqrt(self._drift))
 
     def restart(self, T_odometry: Pose, T_track: Pose, covariance: Array | None = None) -> None:
         """Take a frame's pose (4, 4) for what it is, with its covariance since the keyframe."""
@@ -107,8 +113,13 @@ class OdometryFusion:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from there."""
         self._drift = np.array(state["drift"])
-        self.restart(np.array(state["T_odometry"]), np.array(state["T_track"]))
-        self._legs = [_Leg(*map(np.array, leg[:3]), leg[3]) for leg in state["legs"]]
+        self._T_last_odometry = np.array(state["T_odometry"])
+        self._T_last_track = np.array(state["T_track"])
+        self._restart_reference()
+        self._legs = [
+            _Leg(np.array(T_odometry), np.array(T_aligned), np.array(noise), way_m)
+            for T_odometry, T_aligned, noise, way_m in state["legs"]
+        ]
 
     def predict(self, T_odometry: Pose, covariance: Array | None = None) -> Pose:
         """Return the pose (4, 4) of the next frame as far as odometry tells.
@@ -141,9 +152,8 @@ class OdometryFusion:
         ``information`` (6, 6) is of the tangent of ``T_aligned``, rotation first, in rad and m.
         """
         noise = _covariance_of(information)
-        self._leg = _Leg(
-            self._T_reference_odometry, se3.inverse(self._T_keyframe) @ T_aligned, noise, self._way_m
-        )
+        T_keyframe_aligned = se3.inverse(self._T_keyframe) @ T_aligned
+        self._leg = _Leg(self._T_reference_odometry, T_keyframe_aligned, noise, self._way_m)
         fresh = float(np.clip(self._step_m / FRESH_M, MIN_FRESH, 1.0))
         off = se3.log(se3.inverse(self._T_last_track) @ T_aligned)
         expected = self._covariance + noise
@@ -177,9 +187,12 @@ class OdometryFusion:
         off = se3.log(se3.inverse(T_odometry) @ T_aligned)
         reach = way_m * min(way_m, LENGTH_M)
         variance, squares = np.diag(noise), np.square(off)
-        drift = np.clip((squares - variance) / reach, 0.0, MAX_GROWTH * self._drift)
+        most = MAX_GROWTH * self._drift
+        # Windows overlap, so that chance lasts: only what is beyond it counts as drift.
+        is_drift = squares > np.square(DRIFT_SIGMAS) * variance
+        drift = np.where(is_drift, np.minimum((squares - variance) / reach, most), 0.0)
         # Where alignments err by more than odometry can have, nothing is learnt.
-        signal = np.maximum(self._drift * reach, squares - variance)
+        signal = np.maximum(self._drift * reach, np.abs(squares - variance))
         rate = 1.0 - np.exp(-self._way_m / LEARNING_M)
         weight = rate * np.square(signal / (signal + variance))
         self._drift = np.clip(
@@ -190,8 +203,8 @@ class OdometryFusion:
         self._covariance = np.zeros((6, 6))
         self._way_m = 0.0
         self._T_keyframe = self._T_last_track
-        self._T_reference_odometry: Pose = np.eye(4)
-        self._leg: _Leg | None = None
+        self._T_reference_odometry = np.eye(4)
+        self._leg = None
         self._is_given = False
 
 
@@ -207,7 +220,7 @@ def _spread(drift: Array) -> Array:
 
 def _covariance_of(information: Array) -> Array:
     """Invert information (6, 6), what is open to ``MAX_VARIANCE``."""
-    return np.linalg.inv(information + np.eye(6) / MAX_VARIANCE)
+    return np.asarray(np.linalg.inv(information + np.eye(6) / MAX_VARIANCE))
 
 
 def _rigid(T: Pose) -> Pose:

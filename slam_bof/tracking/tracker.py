@@ -46,6 +46,9 @@ REFERENCE_RANGE = 0.5, 0.85
 """The first frame after the first keyframe sets the reference inlier ratio, between these ..."""
 PRIOR_FLOOR = np.diag(np.square(np.repeat([0.002, 0.005], 3)))
 """Of where a frame should be, beyond what odometry errs by."""
+MAX_REFERENCE_VIOLATION = 0.4
+MAX_LEAP_M, MAX_LEAP_RAD = 0.7, 0.7
+"""Odometry is not believed to move farther in a frame without anything seen that says so."""
 FORGETTING = 0.1
 """... and each one since moves it, at this weight."""
 
@@ -72,8 +75,8 @@ class TrackingParams(Params):
     min_visible_ratio: float = Field(0.2, ge=0, le=1, description="share of points compared")
     min_visible_ratio_relocalised: float = Field(0.4, ge=0, le=1)
     max_free_space_violation: float = Field(
-        0.15, ge=0, le=1, description="share of compared points before what the other view sees; "
-        "more, and no better pose nearby, and the track is lost",
+        0.1, ge=0, le=1, description="share of compared points before what the other view sees, "
+        "beyond the usual; more, and no better pose nearby, and the track is lost",
     )  # fmt: skip
     max_score_drop: float = Field(
         0.03, ge=0, description="of the agreement score below its mean; more, and others are tried"
@@ -116,6 +119,7 @@ class _Fit(NamedTuple):
     visible_ratio: float
     free_space_violation: float
     held: Observability | None = None
+    is_searched: bool = False
 
 
 class _Found(NamedTuple):
@@ -140,6 +144,7 @@ class Tracker:
         self._is_lost = False
         self._reference = float("nan")
         self._reference_score = float("nan")
+        self._reference_violation = 0.0
         self._view: View | None = None
         self._fusion = OdometryFusion()
         self._T_last = self._T_before = self._T_known = self._T_keyframe = np.eye(4)
@@ -170,8 +175,10 @@ class Tracker:
                 T = self._fusion.fuse(T, held.information)
             elif not found.is_followed:
                 T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
-                covariance = None if held is None else np.linalg.inv(held.information + np.eye(6))
-                self._fusion.restart(T_odom_camera, T, covariance)
+                spread = None
+                if held is not None:
+                    spread = np.asarray(np.linalg.inv(held.information + np.eye(6)))
+                self._fusion.restart(T_odom_camera, T, spread)
             self._T_known = T
         self._T_before, self._T_last, self._is_lost = self._T_last, T, is_lost
         covariance = self._fusion.covariance
@@ -195,6 +202,7 @@ class Tracker:
             "n_lost": self.n_lost,
             "reference_inlier_ratio": reference,
             "reference_score": score,
+            "reference_violation": self._reference_violation,
             "T_before": self._T_before.tolist(),
             "fusion": self._fusion.state(),
         }
@@ -206,6 +214,7 @@ class Tracker:
             float("nan") if x is None else x
             for x in (state["reference_inlier_ratio"], state["reference_score"])
         )
+        self._reference_violation = state["reference_violation"]
         self._segment = track.segment
         if self.params.enabled:
             self._view = self._look(frame)
@@ -233,8 +242,11 @@ class Tracker:
         seen = tracked.inlier_ratio * tracked.visible_ratio
         if np.isnan(self._reference):
             self._reference = float(np.clip(tracked.inlier_ratio, *REFERENCE_RANGE))
+            self._reference_violation = min(tracked.free_space_violation, MAX_REFERENCE_VIOLATION)
         if not self._is_lost and self._is_tracked(tracked):
             self._reference += FORGETTING * (tracked.inlier_ratio - self._reference)
+            violation = tracked.free_space_violation
+            self._reference_violation += FORGETTING * (violation - self._reference_violation)
             return _Found(tracked, seen, True)
         from_before = None
         if before is not None:
@@ -254,9 +266,9 @@ class Tracker:
 
     def _is_tracked(self, fit: _Fit) -> bool:
         p = self.params
+        drop = p.max_inlier_drop_relocalised if fit.is_searched else p.max_inlier_drop
         return (
-            fit.visible_ratio >= p.min_visible_ratio
-            and fit.inlier_ratio >= self._reference - p.max_inlier_drop
+            fit.visible_ratio >= p.min_visible_ratio and fit.inlier_ratio >= self._reference - drop
         )
 
     def _is_relocalised(self, fit: _Fit) -> bool:
@@ -267,13 +279,22 @@ class Tracker:
         )
 
     def _is_contradicted(self, T_guess: Pose, before: View | None) -> bool:
-        """Tell whether either view that the frame can be compared with contradicts odometry."""
-        limit = self.params.max_free_space_violation
+        """Tell whether either view that the frame can be compared with contradicts odometry.
+
+        So does a leap out of what both see, which no camera makes from one frame to the next.
+        """
+        limit = self._reference_violation + self.params.max_free_space_violation
         views = [(KEYFRAME, self._T_keyframe)]
         if before is not None:
             views.append((BEFORE, self._T_last))
         fits = [self._fit(k, T, se3.inverse(T) @ T_guess) for k, T in views]
-        return any(fit.free_space_violation > limit for fit in fits)
+        if any(fit.free_space_violation > limit for fit in fits):
+            return True
+        step = se3.inverse(self._T_last) @ T_guess
+        leaps = np.linalg.norm(step[:3, 3]) > MAX_LEAP_M or se3.rotation_angle(step) > MAX_LEAP_RAD
+        return (
+            bool(leaps) and max(fit.visible_ratio for fit in fits) < self.params.min_visible_ratio
+        )
 
     def _register(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Fit:
         """Align the frame with a view from where odometry has it, or from elsewhere if in doubt."""
@@ -303,7 +324,7 @@ class Tracker:
             )  # fmt: skip
             if T_best is not T:
                 T = T_best
-                fit = self._fit(view_id, T_odom_view, T)
+                fit = self._fit(view_id, T_odom_view, T)._replace(is_searched=True)
                 held = observe(self._aligner, FRAME, view_id, T) or held
         if view_id == KEYFRAME:
             mean = self._reference_score

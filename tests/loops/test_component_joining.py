@@ -32,7 +32,7 @@ def walked_down():
 def loop(poses, i, wrong=None):
     """Keyframe 12 + i stands where keyframe i does."""
     T = np.eye(4) if wrong is None else wrong
-    return Loop(N + i, i, T, np.eye(6), "loop", "view")
+    return Loop(N + i, i, T, 1e5 * np.eye(6), "loop", "view")
 
 
 class Compare:
@@ -109,7 +109,7 @@ def test_loops_back_from_the_older_part_bear_witness_as_well(looked_about):
     parts = np.repeat([0, 1, 0], N)
     gate = JoinGate(JoinParams(), Compare())
     there = [loop(looked_about, i) for i in (0, 3)]
-    back = [Loop(2 * N + i, N + i, np.eye(4), np.eye(6), "loop", "view") for i in (6, 9)]
+    back = [Loop(2 * N + i, N + i, np.eye(4), 1e5 * np.eye(6), "loop", "view") for i in (6, 9)]
     assert admit(gate, [*there, back[0]], poses, parts) == []
     assert admit(gate, back[1:], poses, parts) == [(0, 0), (3, 3), (N + 6, N + 6), (N + 9, N + 9)]
 
@@ -119,7 +119,9 @@ def test_one_keyframe_is_one_witness_however_many_it_recognises(looked_about):
     parts = np.array([0] * N + [1] * N + [0])
     gate = JoinGate(JoinParams(), Compare())
     seen = [
-        Loop(2 * N, N + i, se3.inverse(looked_about[i]) @ poses[-1], np.eye(6), "loop", "view")
+        Loop(
+            2 * N, N + i, se3.inverse(looked_about[i]) @ poses[-1], 1e5 * np.eye(6), "loop", "view"
+        )
         for i in range(N)
     ]
     assert gate.admit(seen, poses, parts) == []

@@ -17,7 +17,9 @@ def there_and_again():
 def loop(query_id, match_id, wrong=None):
     """A loop of the fixture: keyframe 10 + i stands where keyframe i stood."""
     T = se3.pose(np.eye(3), [0.2 * (query_id - 10 - match_id), 0.0, 0.0])
-    return Loop(query_id, match_id, T if wrong is None else T @ wrong, np.eye(6), "loop", "bag")
+    return Loop(
+        query_id, match_id, T if wrong is None else T @ wrong, 1e5 * np.eye(6), "loop", "bag"
+    )
 
 
 def pairs(loops):
