@@ -8,6 +8,7 @@ view are tried first: that is for views found alike, not for any two.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -38,6 +39,14 @@ class ProjectiveParams(JudgementParams):
         n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_last_iterations=4
     )
     max_blocking: float = Field(0.15, ge=0, le=1, description="before what the other sees")
+
+
+class _Held(NamedTuple):
+    """A pose (4, 4), its information (6, 6), and what is against it, in words."""
+
+    T_match_query: Pose
+    information: Array
+    reason_against: str = ""
 
 
 class ProjectiveVerifier:
@@ -82,44 +91,47 @@ class ProjectiveVerifier:
             T = self._aligner.align(query, ids, np.tile(np.eye(4), (len(ids), 1, 1, 1)))
         else:
             T = self._aligner.refine(query, ids, T_match_query)
-        held = [self._hold(query, int(k), T[n], T_match_query, n) for n, k in enumerate(ids)]
-        T = np.array([pose for pose, _ in held])
-        overlap, blocking = self._aligner.seen(query, ids, T)
+        guesses = [None] * len(ids) if T_match_query is None else list(T_match_query)
+        held = [
+            self._hold(query, int(match), *poses)
+            for match, *poses in zip(ids, T, guesses, strict=True)
+        ]
+        T = np.array([one.T_match_query for one in held])
+        overlap, violation = self._aligner.seen(query, ids, T)
         pairs = self._aligner.surface_pairs(query, ids, T)
         return [
             judge(
                 self.params,
                 T[k],
                 pairs[k].residuals_m,
-                held[k][1],
+                held[k].information,
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
-                objection=self._object(float(blocking[k])),
+                objection=self._reason_against(float(violation[k])) or held[k].reason_against,
             )
             for k in range(len(ids))
         ]
 
-    def _hold(
-        self, query: int, match: int, T: Pose, T_match_query: Array | None, n: int
-    ) -> tuple[Pose, Array]:
+    def _hold(self, query: int, match: int, T: Pose, T_guess: Pose | None) -> _Held:
         """Return a pose that has been aligned as far as the surfaces hold it, and how firmly.
 
-        Where a pose nearby agrees better, it is searched for. Open directions stay as guessed.
+        Where a pose near a guessed one agrees better, it is searched for. One without a guess is
+        rejected then: it is none that alignment ends with. Open directions stay as guessed.
         """
         held = observe(self._aligner, query, match, T)
         if held is None:
-            return T, np.zeros((6, 6))
+            return _Held(T, np.zeros((6, 6)))
+        if T_guess is None:
+            reason = "a pose nearby agrees better" if held.is_better_near else ""
+            return _Held(T, held.information, reason)
         if held.is_better_near:
-            prior = PosePrior(T, PRIOR)
             start = held.best_shift[None]
-            best, _, _ = search_weak(self._aligner, query, match, T, start, prior)
+            best, _, _ = search_weak(self._aligner, query, match, T, start, PosePrior(T, PRIOR))
             if best is not T:
                 T, held = best, observe(self._aligner, query, match, best) or held
-        if T_match_query is not None:
-            T = held.keep_open(T, T_match_query[n])
-        return T, held.information
+        return _Held(held.keep_open(T, T_guess), held.information)
 
-    def _object(self, blocking: float) -> str:
-        if blocking <= self.params.max_blocking:
+    def _reason_against(self, free_space_violation: float) -> str:
+        if free_space_violation <= self.params.max_blocking:
             return ""
-        return f"{blocking:.2f} of the points stand before what the other sees"
+        return f"{free_space_violation:.2f} of the points stand before what the other sees"
