@@ -11,3 +11,5 @@ from .types import (
     Step as Step,
     Trajectory as Trajectory,
 )
+
+__version__: str

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, Self, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ from slam_bof.types import (
 __all__ = [
     "Backend",
     "Dataset",
+    "DatasetFormat",
     "Descriptor",
     "ForgettingVerifier",
     "LabelledImages",
@@ -41,32 +42,21 @@ __all__ = [
 
 @runtime_checkable
 class Dataset(Protocol):
-    """A sequence of depth frames on disk, read one by one."""
+    """A sequence of depth frames, read one by one."""
 
-    name: ClassVar[str]
+    @property
+    def name(self) -> str:
+        """The name of the format that the sequence is stored in."""
+
     sequence: str
     """Scene and sequence, such as ``redkitchen/seq-01``."""
     intrinsics: Intrinsics
-
-    @classmethod
-    def recognises(cls, path: Path) -> str | bool:
-        """Tell whether a folder or file is of this layout, by its content.
-
-        The best answer says by what, such as ``rgb.txt, depth.txt``, empty if it is not.
-        """
-
-    @classmethod
-    def open(cls, path: Path) -> Self:
-        """Open a sequence; ``DatasetError`` names what is missing or malformed.
-
-        One that takes options (a nested ``Params``) is opened by ``open(path, params)``.
-        """
 
     def __len__(self) -> int:
         """Return the number of frames."""
 
     def frame(self, index: int) -> DepthFrame:
-        """Read a frame; ``DatasetError`` where the file cannot be read."""
+        """Read a frame; raise ``DatasetError`` if its file cannot be read."""
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the (H, W, 3) RGB image registered to the depth image, if there is one."""
@@ -75,18 +65,44 @@ class Dataset(Protocol):
         """Read the (H, W) grey image as the colour camera recorded it, if there is one."""
 
     def groundtruth(self) -> Trajectory | None:
-        """Return ``T_world_camera`` of every frame (NaN where unknown), if there are any."""
+        """Return ``T_world_camera`` of every frame (NaN where unknown), if known of any."""
 
     def scenes(self) -> tuple[str, ...] | None:
-        """Return the true scene label of every frame, if there are any."""
+        """Return the true scene label of every frame, if known."""
+
+
+@runtime_checkable
+class DatasetFormat(Protocol):
+    """A format in which sequences are stored: what a data-set plug-in is.
+
+    Usually it is the class of its sequences, with ``recognises`` and ``open`` as class methods;
+    such a class may inherit from ``Dataset`` for the methods that it does not define.
+    """
+
+    @property
+    def name(self) -> str:
+        """The name of the format, as it is registered."""
+
+    def recognises(self, path: Path) -> str | bool:
+        """Return whether a folder or file is of this format, judged by its content.
+
+        A string names what it was recognised by, such as ``rgb.txt, depth.txt``; it is empty if
+        the format does not match.
+        """
+
+    def open(self, path: Path) -> Dataset:
+        """Open a sequence; raise ``DatasetError`` if something is missing or malformed.
+
+        A format that takes options (a nested ``Params``) is opened by ``open(path, params)``.
+        """
 
 
 @runtime_checkable
 class LabelledImages(Dataset, Protocol):
-    """A data set of single images with scene labels: no sequence, and each with its own camera."""
+    """A data set of single images with scene labels, each with its own camera; no sequence."""
 
     is_train: NDArray[np.bool_]
-    """(N,) for each image, whether the official split trains with it; else it tests."""
+    """(N,) whether the official split trains with an image; else it tests with it."""
 
 
 @runtime_checkable

@@ -6,8 +6,10 @@ frames are x right, y down, z forward. Metres, radians and seconds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from enum import StrEnum
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +20,11 @@ __all__ = [
     "Array",
     "Bag",
     "Candidate",
+    "CandidateSource",
     "Contours",
+    "Decision",
     "DepthFrame",
+    "EdgeKind",
     "FramePose",
     "Intrinsics",
     "Keyframe",
@@ -29,7 +34,7 @@ __all__ = [
     "Pose",
     "Scene",
     "Step",
-    "ThinDepth",
+    "SubsampledDepth",
     "Trajectory",
     "Verification",
 ]
@@ -40,6 +45,8 @@ Pose = NDArray[np.float64]
 
 INVALID_DEPTH_MM = 65535
 """What 7-Scenes writes, besides 0, where the sensor saw nothing."""
+
+Derived = TypeVar("Derived")
 
 LOST = -1
 """In place of a segment, of frames while odometry was lost."""
@@ -108,6 +115,9 @@ class DepthFrame:
     stamp_s: float
     depth: NDArray[Any]
     intrinsics: Intrinsics
+    _derived: dict[Callable[[DepthFrame], Any], Any] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         """Check shape and type, once, where the image enters."""
@@ -116,6 +126,16 @@ class DepthFrame:
             raise ValueError(f"depth must be {expected} as its intrinsics, got {self.depth.shape}")
         if self.depth.dtype != np.uint16 and self.depth.dtype.kind != "f":
             raise ValueError(f"depth must be uint16 mm or float m, got {self.depth.dtype}")
+
+    def derive(self, compute: Callable[[DepthFrame], Derived]) -> Derived:
+        """Return ``compute(frame)``, computed at the first call and kept with the frame.
+
+        Tracking, recognition and verification each need the small view of the same frame.
+        """
+        if compute not in self._derived:
+            self._derived[compute] = compute(self)
+        derived: Derived = self._derived[compute]
+        return derived
 
     def depth_m(self, stride: int = 1) -> NDArray[np.float32]:
         """Return every ``stride``-th pixel's depth in metres, 0 where it is missing."""
@@ -208,20 +228,53 @@ class Verification:
     information: Array
 
 
+class CandidateSource(StrEnum):
+    """What proposed a pair of keyframes."""
+
+    VIEW = "view"
+    """Place recognition by depth views."""
+    BAG = "bag"
+    """Place recognition by bags of BOF words, as in the paper."""
+    PROXIMITY = "proximity"
+    """The map: by its poses the two keyframes look at the same surfaces."""
+    PRUNED = "pruned"
+    """Pruning: the edge stands for keyframes that were removed between the two."""
+
+
+class EdgeKind(StrEnum):
+    """What an edge between two keyframes claims."""
+
+    LOOP = "loop"
+    """The camera came back: the two are far apart in time, and passed all checks for loops."""
+    PARTIAL = "partial"
+    """As a loop, but the surfaces that both see leave directions open, which it does not hold."""
+    COVISIBILITY = "covisibility"
+    """Neighbours, in time or in the map, that see the same surfaces."""
+
+
+class Decision(StrEnum):
+    """What became of a candidate."""
+
+    OPEN = ""
+    """Not decided yet."""
+    ACCEPTED = "accepted"
+    REJECTED = "rejected"
+    HELD = "held"
+    """Verified by geometry, and waiting for other loops to agree."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
-    """One line of the audit trail: a pair of keyframes considered, and what became of it.
+    """One line of the audit trail: a pair of keyframes that was considered as an edge.
 
-    ``source`` is ``view`` or ``bag`` (place recognition, by views or by bags of words) or
-    ``proximity`` (the map already says the two are near); ``kind`` is as in ``Loop``.
-    ``decision`` is ``accepted``, ``rejected`` or ``held`` (good, but waiting for others to
-    agree), and ``reason`` says why in words; empty if it was accepted for passing everything.
+    ``reason`` says in words why the decision is what it is; it is empty where the pair passed
+    every check.
     """
 
     query_id: int
     match_id: int
-    source: str
-    kind: str = "loop"
+    source: CandidateSource
+    kind: EdgeKind = EdgeKind.LOOP
     score: float = float("nan")
     normaliser: float = float("nan")
     eta: float = float("nan")
@@ -229,7 +282,7 @@ class Candidate:
     n_consistent: int = 0
     overlap: float = float("nan")
     rmse_m: float = float("nan")
-    decision: str = ""
+    decision: Decision = Decision.OPEN
     reason: str = ""
 
 
@@ -237,18 +290,16 @@ class Candidate:
 class Loop:
     """A verified edge of the pose graph between two keyframes.
 
-    ``kind`` is ``loop`` where the keyframes are far apart in time and were held to all that a
-    loop needs, ``partial`` where one that else is a loop leaves directions open, and
-    ``covisibility`` where they are neighbours, in time or in the map, that see the same surfaces.
-    ``information`` is as in ``Verification``.
+    ``information`` (6, 6) is that of the tangent of ``T_match_query``, rotation first, as in
+    ``Verification``.
     """
 
     query_id: int
     match_id: int
     T_match_query: Pose
     information: Array
-    kind: str
-    source: str
+    kind: EdgeKind
+    source: CandidateSource
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -269,8 +320,8 @@ class FramePose:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThinDepth:
-    """What the map keeps of a depth image: every few pixels, as ``views.thin`` chooses them.
+class SubsampledDepth:
+    """The pixels of a depth image that the map keeps, chosen by ``geometry.subsample``.
 
     ``depth`` is (h, w) uint16 in steps of which ``per_m`` make a metre, 0 where missing;
     ``intrinsics`` are those of the whole image.
@@ -292,7 +343,7 @@ class KeyframeRecord:
     """
 
     keyframe: Keyframe
-    thin: ThinDepth
+    depth: SubsampledDepth
     frames: tuple[FramePose, ...]
     candidates: tuple[Candidate, ...]
     measured: tuple[Loop, ...]

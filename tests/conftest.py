@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+import runpy
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from numpy.typing import NDArray
 from web_server import Server, serving
 
@@ -15,6 +18,10 @@ from slam_bof.synthetic import KINECT, Scene3D, distance_to_boxes, make_room, se
 from slam_bof.synthetic.rooms import Room
 from slam_bof.synthetic.writer import write_sequence
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
+
+# No test is timed: machines may be slow, or busy with other work.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -112,3 +119,12 @@ def write_turn(room: Room, standpoint: tuple[float, float]) -> Callable[..., Non
         write_sequence(folder, scene, poses)
 
     return write
+
+
+@pytest.fixture(scope="module")
+def load_script():
+    """Load a script of the folder by name, with the modules that the scripts share."""
+    scripts = ROOT / "scripts"
+    sys.path.insert(0, str(scripts))
+    yield lambda name: runpy.run_path(str(scripts / name))
+    sys.path.remove(str(scripts))

@@ -11,13 +11,15 @@ from slam_bof.store import MapStore, Session
 from slam_bof.types import (
     Bag,
     Candidate,
+    CandidateSource,
+    Decision,
     FramePose,
     Intrinsics,
     Keyframe,
     KeyframeRecord,
     Loop,
     Scene,
-    ThinDepth,
+    SubsampledDepth,
 )
 
 CLASSES = ("kitchen", "office")
@@ -51,13 +53,13 @@ def make_loop(query_id: int, match_id: int, kind: str = "loop", source: str = "b
 
 def make_candidate(query_id: int, match_id: int, **fields: object) -> Candidate:
     figures = {"score": 0.25, "normaliser": 0.5, "eta": 0.5, "overlap": 0.7, "rmse_m": 0.012}
-    known = {"n_consistent": 2, "decision": "accepted", "reason": "overlap 0.70", **figures}
-    return Candidate(query_id, match_id, "bag", **(known | fields))
+    known = {"n_consistent": 2, "decision": Decision.ACCEPTED, "reason": "overlap 0.70", **figures}
+    return Candidate(query_id, match_id, CandidateSource.BAG, **(known | fields))
 
 
-def make_thin(id_: int = 0) -> ThinDepth:
+def make_subsampled(id_: int = 0) -> SubsampledDepth:
     depth = np.random.default_rng(id_).integers(500, 4000, (48, 64)).astype(np.uint16)
-    return ThinDepth(depth, 1000, CAMERA)
+    return SubsampledDepth(depth, 1000, CAMERA)
 
 
 def make_record(
@@ -74,7 +76,9 @@ def make_record(
     own = tuple(loop for loop in admitted if loop.query_id == keyframe.id)
     named = {(c.match_id, c.source) for c in candidates}
     unnamed = [
-        Candidate(loop.query_id, loop.match_id, loop.source, kind=loop.kind, decision="accepted")
+        Candidate(
+            loop.query_id, loop.match_id, loop.source, kind=loop.kind, decision=Decision.ACCEPTED
+        )
         for loop in own
         if (loop.match_id, loop.source) not in named
     ]
@@ -85,7 +89,7 @@ def make_record(
     ]
     return KeyframeRecord(
         keyframe,
-        make_thin(keyframe.id),
+        make_subsampled(keyframe.id),
         tuple(frames),
         (*candidates, *unnamed),
         own,

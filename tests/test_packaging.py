@@ -29,7 +29,8 @@ def pins() -> dict[str, str]:
 
 def test_every_requirement_is_pinned_to_a_version_that_it_allows() -> None:
     project = PROJECT["project"]
-    for text in project["dependencies"] + project["optional-dependencies"]["dev"]:
+    extras = project["optional-dependencies"]
+    for text in project["dependencies"] + extras["dev"] + extras["docs"]:
         requirement = Requirement(text)
         name = canonicalize_name(requirement.name)
         assert name in pins(), f"{name} is not pinned in scripts/constraints.txt"

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.cluster.hierarchy import DisjointSet
 
-from slam_bof.geometry import se3
+from slam_bof.geometry import GraphEdge, se3, step_sigmas, write_g2o
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,
@@ -36,19 +36,48 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 class GtsamParams(Params):
     """Noise of steps between keyframes and of loops, where their own covariance says less."""
 
-    odometry_sigma_rad: float = Field(0.05, gt=0, description="of a step of unknown covariance")
-    odometry_sigma_m: float = Field(0.05, gt=0)
-    step_floor_rad: float = Field(1e-4, gt=0, description="no step is more certain than this")
-    step_floor_m: float = Field(3e-4, gt=0)
-    loop_floor: float = Field(0.002, gt=0, description="nor a loop: rad and m")
-    huber: float = Field(3.0, gt=0, description="of the steps' robust kernel, in sigmas")
-    cauchy: float = Field(1.0, gt=0, description="of the loops' robust kernel, in sigmas")
-    tolerance: float = Field(
-        0.01, ge=0, description="rad and m by which loops may contradict the map while frames come"
+    odometry_sigma_rad: float = Field(
+        0.05,
+        gt=0,
+        description="Standard deviation of a step of unknown covariance, in rotation, in rad.",
     )
-    n_updates: int = Field(3, gt=0, description="iSAM2 updates after a loop")
-    max_iterations: int = Field(50, gt=0)
-    select_loops: bool = Field(True, description="leave out, at the end, what contradicts the rest")
+    odometry_sigma_m: float = Field(
+        0.05,
+        gt=0,
+        description="Standard deviation of a step of unknown covariance, in translation, in m.",
+    )
+    step_floor_rad: float = Field(
+        1e-4, gt=0, description="Smallest standard deviation of any step, in rotation, in rad."
+    )
+    step_floor_m: float = Field(
+        3e-4, gt=0, description="Smallest standard deviation of any step, in translation, in m."
+    )
+    loop_floor: float = Field(
+        0.002, gt=0, description="Smallest standard deviation of any loop, in rad and m."
+    )
+    huber: float = Field(
+        3.0, gt=0, description="Scale of the Huber robust kernel of steps, in standard deviations."
+    )
+    cauchy: float = Field(
+        1.0,
+        gt=0,
+        description="Scale of the Cauchy robust kernel of loops, in standard deviations.",
+    )
+    tolerance: float = Field(
+        0.01,
+        ge=0,
+        description="Disagreement of a loop with the map that is tolerated while frames arrive, "
+        "in rad and m.",
+    )
+    n_updates: int = Field(3, gt=0, description="Number of iSAM2 updates after a loop.")
+    max_iterations: int = Field(
+        50, gt=0, description="Largest number of iterations of the final optimisation."
+    )
+    select_loops: bool = Field(
+        True,
+        description="Whether the final optimisation leaves out loops that are inconsistent with "
+        "the others.",
+    )
     selection: SelectionParams = SelectionParams()
 
 
@@ -71,14 +100,20 @@ class GtsamBackend:
         self._segments: list[int] = []
         self._held = DisjointSet()
         self._has_new_loop = False
+        self._is_optimized = False
         self._prior_noise = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
         self._odometry_noise = gtsam.noiseModel.Diagonal.Sigmas(
-            np.repeat([p.odometry_sigma_rad, p.odometry_sigma_m], 3)
+            step_sigmas(p.odometry_sigma_rad, p.odometry_sigma_m)
         )
         self._lost_noise = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
-        """Add a node where the odometry puts it, tied to the node before it."""
+        """Add a node where the odometry puts it, tied to the node before it.
+
+        After ``optimize``, the graph goes on from its optimum, without the loops left out.
+        """
+        if self._is_optimized:
+            self._start_afresh(gtsam.ISAM2Params())
         key = len(self._T_odom_camera)
         factor: gtsam.NonlinearFactor
         if key == 0:
@@ -164,6 +199,7 @@ class GtsamBackend:
         for loop in self._kept():
             graph.add(self._robust(*loop))
         self._estimate = optimized(graph, self._estimate, p.max_iterations)
+        self._is_optimized = True
         return self._weights
 
     def poses(self) -> Array:
@@ -171,14 +207,22 @@ class GtsamBackend:
         return poses_of(self._estimate)
 
     def write_g2o(self, path: Path) -> None:
-        """Write nodes and edges as .g2o; GTSAM puts the translation first, as g2o has it."""
-        graph = gtsam.NonlinearFactorGraph()
-        for key in range(1, self._odometry.size()):
-            graph.add(_plain(self._odometry.at(key)))
-        for edge, noise in self._kept():
-            # Robust models have no place in the format: the plain one is written.
-            graph.add(gtsam.BetweenFactorPose3(*edge, noise))
-        gtsam.writeG2o(graph, self._estimate, str(path))
+        """Write nodes and edges as .g2o, without the loops left out.
+
+        Robust kernels have no place in the format. Steps over which odometry was lost are left
+        out too: they only keep the linear systems well-posed.
+        """
+        T = self._T_odom_camera
+        edges = [
+            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], _information(self._odometry.at(k)))
+            for k in range(1, len(T))
+            if self._segments[k - 1] == self._segments[k]
+        ]
+        edges += [
+            GraphEdge(edge.match, edge.query, edge.measured.matrix(), noise.information())
+            for edge, noise in self._kept()
+        ]
+        write_g2o(path, enumerate(self.poses()), edges)
 
     def _step_noise(self, keyframe: Keyframe) -> gtsam.noiseModel.Base:
         """Return the noise of a keyframe's step from the one before."""
@@ -192,9 +236,10 @@ class GtsamBackend:
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
+        self._is_optimized = False
         self._isam = gtsam.ISAM2(params)
         self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
-        for loop in self._loops:
+        for loop in self._kept():
             self._new_factors.add(self._robust(*loop))
         self._new_values = gtsam.Values(self._estimate)
 
@@ -221,13 +266,9 @@ class GtsamBackend:
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
 
 
-def _plain(factor: Any) -> gtsam.BetweenFactorPose3:
-    """Return a factor without its robust kernel."""
+def _information(factor: Any) -> Array:
+    """Return the information (6, 6) of a factor, without its robust kernel."""
     noise = factor.noiseModel()
-    if not isinstance(noise, gtsam.noiseModel.Robust):
-        return factor
-    match, query = factor.keys()
-    plain: gtsam.BetweenFactorPose3 = gtsam.BetweenFactorPose3(
-        match, query, factor.measured(), noise.noise()
-    )
-    return plain
+    if isinstance(noise, gtsam.noiseModel.Robust):
+        noise = noise.noise()
+    return np.asarray(noise.information())

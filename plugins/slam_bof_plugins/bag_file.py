@@ -50,11 +50,11 @@ class BagFile:
         self.path = path
         self._last: tuple[str, int, Iterator[tuple[Connection, int, bytes]]] | None = None
         with self._naming():
-            # Older ROS 2 bags do not say what their messages look like.
+            # Older ROS 2 bags do not contain their message definitions.
             store = get_typestore(Stores.ROS2_HUMBLE)
             self._reader = AnyReader([path], default_typestore=store)
             self._reader.open()
-        # A data set is not closed by whoever reads it: the file goes with the last reference.
+        # Data sets are never closed explicitly: the file is closed with the last reference.
         weakref.finalize(self, self._reader.close)
         self.topics = [
             Topic(name, info.msgtype or "", info.msgcount)
@@ -128,12 +128,12 @@ class BagFile:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise DatasetError(
                 f"{self.path}: found a bag that cannot be read ({reason}), expected a whole one; "
-                "rosbag reindex, ros2 bag reindex or mcap recover may mend it"
+                "rosbag reindex, ros2 bag reindex or mcap recover may repair it"
             ) from error
 
 
 def bag_kind(path: Path) -> str:
-    """Say what a bag begins as, such as ``a ROS 1 bag``; empty if it is none."""
+    """Return the kind of bag by its first bytes, such as ``a ROS 1 bag``; empty if it is none."""
     if path.is_dir():
         try:
             text = (path / METADATA).read_text(encoding="utf-8")
@@ -171,7 +171,7 @@ def open_bag(path: Path) -> BagFile:
     Raises
     ------
     DatasetError
-        If there is none, it is not what its name says, or it is damaged.
+        If the file does not exist, is no bag of the kind that its name says, or is damaged.
     """
     bag_path = find_bag(path)
     if bag_path is None:

@@ -41,7 +41,8 @@ def decode_depth(message: Any, msgtype: str, where: str) -> NDArray[Any]:
     Raises
     ------
     DatasetError
-        If it is no depth, or its bytes are not as many as it says; ``where`` names it.
+        If it is no depth image, or its size does not match its data; the message begins with
+        ``where``.
     """
     if msgtype == IMAGE:
         return _decode_raw(message, where)

@@ -81,7 +81,7 @@ def find_odometry(bag: BagFile, option: str) -> str:
     Raises
     ------
     DatasetError
-        If there is none, or several, of which ``option`` chooses.
+        If there is no such topic, or several; the message names the ``option`` that chooses.
     """
     for kinds in ((ODOMETRY,), (POSE_STAMPED, POSE_COVARIANCE, TRANSFORM), TF):
         names = [item.name for item in bag.topics if item.msgtype in kinds and item.n_messages]
@@ -113,7 +113,7 @@ def _pose_type(bag: BagFile, topic: str) -> str:
 
 
 def _to_camera(bag: BagFile, T_world_child: Trajectory, child: str, camera: str) -> Trajectory:
-    """Carry poses of what the messages tell of to the camera that is mounted there."""
+    """Transform poses of the moving frame to poses of the camera that is mounted on it."""
     if child in ("", _clean(camera)):
         return T_world_child
     stamps_s = T_world_child.stamps_s
@@ -220,5 +220,5 @@ def _transform(transform: Any) -> Pose:
 def _matrix(q: Any, t: Any) -> Pose:
     quaternion = np.array([q.x, q.y, q.z, q.w])
     if not 0.5 < np.linalg.norm(quaternion) < 2.0:
-        return np.full((4, 4), np.nan)  # all zeros: whoever wrote it knew no pose
+        return np.full((4, 4), np.nan)  # all zeros: the writer knew no pose
     return se3.from_quaternion(quaternion, (t.x, t.y, t.z))

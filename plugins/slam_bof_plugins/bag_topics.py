@@ -1,4 +1,4 @@
-"""Which topic of a bag has depth images: told by how the images are coded."""
+"""The topic of a bag that has depth images, found by the encoding of its images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def find_depth_topic(bag: BagFile, wanted: str | None = None) -> Topic:
     Raises
     ------
     DatasetError
-        If there is none, or several and none was named.
+        If there is no such topic, or several and none was chosen.
     """
     images = [item for item in bag.topics if item.msgtype in (IMAGE, COMPRESSED)]
     if wanted is not None:

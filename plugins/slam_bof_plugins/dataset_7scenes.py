@@ -55,7 +55,7 @@ class SevenScenes:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say what tells that the folder is a sequence, or a scene with some; else nothing."""
+        """Return what identifies a sequence, or a scene with sequences; empty if it is neither."""
         if not path.is_dir():
             return ""
         numbers = _frame_numbers(path)

@@ -33,19 +33,33 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 
 
 class BagParams(Params):
-    """Which topics of a bag to read."""
+    """The topics of a bag to read."""
 
-    topic: str | None = Field(None, description="of depth images; by default the only one")
-    camera_info: str | None = Field(None, description="by default the one beside the images")
+    topic: str | None = Field(
+        None, description="Topic of the depth images; by default the only one in the bag."
+    )
+    camera_info: str | None = Field(
+        None,
+        description="Topic of the camera's intrinsics; by default the camera_info beside the "
+        "images.",
+    )
     intrinsics: tuple[float, float, float, float] | None = Field(
-        None, description="fx, fy, cx, cy in px, in place of a camera_info"
+        None, description="Intrinsics fx, fy, cx, cy in pixels, used instead of a camera_info."
     )
     groundtruth: str | None = Field(
-        None, description="a topic of odometry, poses or tf to take as true poses"
+        None,
+        description="Topic of odometry, poses or tf to take as the true poses; by default there "
+        "are none.",
     )
-    world_frame: str = Field("map", description="of tf: the frame that the poses are in")
-    camera_frame: str | None = Field(None, description="by default that of the depth images")
-    max_gap_s: float = Field(0.2, gt=0, description="between two poses to interpolate, in s")
+    world_frame: str = Field("map", description="Frame that poses from tf refer to.")
+    camera_frame: str | None = Field(
+        None, description="Frame of tf that moves; by default the frame of the depth images."
+    )
+    max_gap_s: float = Field(
+        0.2,
+        gt=0,
+        description="True poses farther apart than this many seconds are not interpolated.",
+    )
 
 
 class RosBag:
@@ -81,7 +95,7 @@ class RosBag:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say what kind of bag it is; nothing if it is none."""
+        """Return the kind of bag; empty if it is none."""
         bag = find_bag(path)
         kind = bag_kind(bag) if bag else ""
         return f"{bag.name}: {kind}" if bag and kind else ""
@@ -124,7 +138,7 @@ class RosBag:
         """Return None."""
 
     def groundtruth(self) -> Trajectory | None:
-        """Return the poses of the topic that the options name, NaN where there is none near."""
+        """Return the poses of the chosen topic, NaN for frames without a pose near in time."""
         return self._groundtruth
 
     def scenes(self) -> None:

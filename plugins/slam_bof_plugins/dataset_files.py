@@ -83,7 +83,7 @@ def check_depth_files(files: Sequence[Path]) -> tuple[int, int]:
 
 
 def read_rgb(path: Path | None) -> NDArray[np.uint8] | None:
-    """Read an image as (H, W, 3) RGB; None without a file, or with a warning if it is none."""
+    """Read an image as (H, W, 3) RGB; None without a file, or with a warning if unreadable."""
     bgr = _read_image(path, cv2.IMREAD_COLOR)
     if bgr is None:
         return None
@@ -112,7 +112,7 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
     Raises
     ------
     DatasetError
-        If the file cannot be read or is no text; ``expected`` says what it should be.
+        If the file cannot be read or is no text; the message ends with ``expected``.
     """
     try:
         text = path.read_text(encoding="utf-8")

@@ -52,7 +52,7 @@ MAX_GAP_S = 0.1
 
 
 class CameraFile(BaseModel):
-    """What ``intrinsics.json`` says; other keys may stand there too."""
+    """The content of ``intrinsics.json``; other keys are ignored."""
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
@@ -84,7 +84,7 @@ class DepthFolder:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say which files tell that this is the layout; nothing if it is not."""
+        """Return the files that identify the format; empty if there are none."""
         if not (path / INTRINSICS).is_file():
             return ""
         files = _depth_files(path)

@@ -64,7 +64,7 @@ class Replica:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say which files tell that this is the layout; nothing if it is not."""
+        """Return the files that identify the format; empty if there are none."""
         if not _depth_files(path):
             return ""
         poses = ", traj.txt" if (path / "traj.txt").is_file() else ""
@@ -78,12 +78,12 @@ class Replica:
         ------
         DatasetError
             If there are no depth images, one is of 8 bits, in colour, or not of the camera's
-            size; if ``traj.txt`` has no pose for a frame, or one that is none.
+            size; if ``traj.txt`` has no pose for a frame, or an invalid one.
         """
         found = _depth_files(path)
         if not found:
             raise DatasetError(
-                f"{path}: found no results/depthXXXXXX.png, expected Replica as NICE-SLAM has it"
+                f"{path}: found no results/depthXXXXXX.png, expected Replica in NICE-SLAM's format"
             )
         numbers = sorted(found)
         files = [found[number] for number in numbers]

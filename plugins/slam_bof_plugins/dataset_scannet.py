@@ -43,7 +43,7 @@ class ScanNet:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say which file tells that this is the layout; nothing if it is not."""
+        """Return the file that identifies the format; empty if there is none."""
         files = _sens_files(path)
         return f"{files[0].name}: .sens version 4" if files and is_sens(files[0]) else ""
 

@@ -47,12 +47,16 @@ SCENES = (
 
 
 class SunRgbdParams(Params):
-    """Which depth and which images to take."""
+    """The depth images and scenes to read."""
 
     depth: Literal["depth", "depth_bfx"] = Field(
-        "depth", description="as the sensor saw it, or depth_bfx: with its holes filled"
+        "depth",
+        description="Depth images to read: depth as measured, or depth_bfx with its holes filled.",
     )
-    all_scenes: bool = Field(False, description="not only the 19 classes of the paper")
+    all_scenes: bool = Field(
+        False,
+        description="Whether to take the images of all scenes, not only of the paper's 19 classes.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +90,7 @@ class SunRgbd:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say which files tell that this is the layout; nothing if it is not."""
+        """Return the files that identify the format; empty if there are none."""
         images = _images_folder(path)
         if images is None:
             return ""

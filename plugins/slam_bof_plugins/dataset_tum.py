@@ -62,19 +62,19 @@ CAMERAS: dict[tuple[str, int], tuple[float, float, float, float]] = {
     ("infrared", 3): (567.6, 570.2, 324.7, 250.1),
 }
 DEFAULT_CAMERA = (525.0, 525.0, 319.5, 239.5)
-"""Of the OpenNI driver: for what is in this layout but from no freiburg camera."""
+"""Focal length of the OpenNI driver, for sequences in this format from other cameras."""
 
 
 class TumParams(Params):
-    """Which camera took the images."""
+    """The camera that took the images."""
 
     camera: Camera = Field(
         "color",
-        description="published intrinsics to take: color (depth registered to it, as "
-        "distributed), infrared (raw depth), or default (525 px, as OpenNI has it)",
+        description="Published intrinsics to use: color (depth registered to it, as distributed),"
+        " infrared (raw depth), or default (525 px, the default of OpenNI).",
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
-        None, description="fx, fy, cx, cy in px, in place of published ones"
+        None, description="Intrinsics fx, fy, cx, cy in pixels, used instead of the published ones."
     )
 
 
@@ -97,7 +97,7 @@ class TumRgbd:
 
     @classmethod
     def recognises(cls, path: Path) -> str:
-        """Say which files tell that this is the layout; nothing if it is not."""
+        """Return the files that identify the format; empty if there are none."""
         if not (path / "depth.txt").is_file():
             return ""
         found = [name for name in ("rgb.txt", "groundtruth.txt") if (path / name).is_file()]
@@ -209,7 +209,7 @@ def _camera(folder: Path, params: TumParams, width: int, height: int) -> Intrins
     match = re.search(r"freiburg([123])", folder.resolve().name)
     if which != "default" and match is None:
         logger.warning(
-            "%s: the name tells of no freiburg1, 2 or 3; taking the default camera of 525 px, "
+            "%s: the name contains no freiburg1, 2 or 3; taking the default camera of 525 px, "
             "or give --set dataset.options.intrinsics=[fx,fy,cx,cy]",
             folder,
         )

@@ -31,12 +31,12 @@ def read_depth_png(path: Path) -> NDArray[np.uint16]:
 
 
 def decode_depth_png(data: bytes, where: Path | str) -> NDArray[np.uint16]:
-    """Decode the bytes of an (H, W) uint16 image; ``where`` is named in what ``DatasetError`` says.
+    """Decode the bytes of an (H, W) uint16 image; a ``DatasetError`` begins with ``where``.
 
     Raises as ``read_depth_png``.
     """
     _header_size(where, data)
-    # The chunks are checked first: decoders differ in what they make of half an image.
+    # The chunks are checked first, because decoders handle truncated images differently.
     _check_chunks(where, data)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
@@ -45,7 +45,7 @@ def decode_depth_png(data: bytes, where: Path | str) -> NDArray[np.uint16]:
 
 
 def check_header(path: Path, expected: tuple[int, int] | None = None) -> tuple[int, int] | None:
-    """Check that a file says it is a 16-bit grey PNG; return its (height, width).
+    """Check that the header is that of a 16-bit grey PNG; return (height, width).
 
     None means that the file is no PNG at all: reading it will say so. Nothing else of the file
     is read, so a whole sequence can be checked before it is begun.

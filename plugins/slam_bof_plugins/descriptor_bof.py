@@ -31,13 +31,13 @@ class BofDescriptor:
 
 
 class LayerBofParams(PlaceParams):
-    """As for ``bof``, but contours are sampled by angle, and coarsely."""
+    """Parameters like those of ``bof``, but contours are sampled coarsely and by angle."""
 
     bof: BofParams = Field(default=BofParams(n_points=36, sampling="angle"))
 
 
 class LayerBofDescriptor:
-    """The descriptor of each layer's largest contour, in one row: for a neural network."""
+    """The descriptors of each layer's largest contour in one row, for a neural network."""
 
     Params = LayerBofParams
     needs_gray: ClassVar[bool] = False

@@ -19,36 +19,55 @@ __all__ = ["FernDescriptor", "OccupancyDescriptor", "ThumbnailDescriptor"]
 class ThumbnailParams(Params):
     """Size of the thumbnail."""
 
-    width_px: int = Field(32, gt=0)
-    height_px: int = Field(24, gt=0)
+    width_px: int = Field(32, gt=0, description="Width of the thumbnail in pixels.")
+    height_px: int = Field(24, gt=0, description="Height of the thumbnail in pixels.")
 
 
 class FernParams(Params):
-    """How many questions are asked, of what (Glocker et al., TVCG 2015)."""
+    """Number and image of the binary tests (Glocker et al., TVCG 2015)."""
 
-    n_ferns: int = Field(500, gt=0)
-    n_bits: int = Field(4, gt=0, le=8, description="questions of a fern")
-    width_px: int = Field(40, gt=0, description="of the blurred image that they are asked of")
-    height_px: int = Field(30, gt=0)
-    min_depth_m: float = Field(0.8, gt=0, description="thresholds lie from here")
-    max_depth_m: float = Field(4.0, gt=0, description="to here")
-    seed: int = Field(0, ge=0)
+    n_ferns: int = Field(500, gt=0, description="Number of ferns.")
+    n_bits: int = Field(4, gt=0, le=8, description="Number of binary tests of a fern.")
+    width_px: int = Field(
+        40, gt=0, description="Width in pixels of the blurred image that the tests are made on."
+    )
+    height_px: int = Field(
+        30, gt=0, description="Height in pixels of the blurred image that the tests are made on."
+    )
+    min_depth_m: float = Field(0.8, gt=0, description="Least threshold of a test, in metres.")
+    max_depth_m: float = Field(4.0, gt=0, description="Largest threshold of a test, in metres.")
+    seed: int = Field(0, ge=0, description="Seed of the tests.")
 
 
 class OccupancyParams(Params):
-    """The box before the camera that is cut into voxels."""
+    """The box in front of the camera that is divided into voxels."""
 
     points: PointParams = PointParams()
-    voxel_m: float = Field(0.1, gt=0)
-    sigma_m: float = Field(0.1, gt=0, description="of the blur, which forgives small motions")
-    half_width_m: float = Field(2.0, gt=0)
-    half_height_m: float = Field(1.6, gt=0)
-    near_m: float = Field(0.2, ge=0)
-    far_m: float = Field(4.2, gt=0)
+    voxel_m: float = Field(0.1, gt=0, description="Side of a voxel in metres.")
+    sigma_m: float = Field(
+        0.1,
+        gt=0,
+        description="Standard deviation of the blur in metres, which makes small motions matter "
+        "less.",
+    )
+    half_width_m: float = Field(
+        2.0,
+        gt=0,
+        description="Extent of the box to the left and to the right of the camera, in metres.",
+    )
+    half_height_m: float = Field(
+        1.6, gt=0, description="Extent of the box above and below the camera, in metres."
+    )
+    near_m: float = Field(
+        0.2, ge=0, description="Distance of the front of the box from the camera, in metres."
+    )
+    far_m: float = Field(
+        4.2, gt=0, description="Distance of the back of the box from the camera, in metres."
+    )
 
 
 class ThumbnailDescriptor:
-    """The depth image itself, small, 0 where little of it is known."""
+    """The downsampled depth image, 0 where most of it is unknown."""
 
     Params = ThumbnailParams
     needs_gray: ClassVar[bool] = False
@@ -64,7 +83,7 @@ class ThumbnailDescriptor:
 
 
 class FernDescriptor:
-    """Codes of random ferns: is this pixel farther than that threshold."""
+    """Codes of random ferns, whose tests compare a pixel's depth with a threshold."""
 
     Params = FernParams
     needs_gray: ClassVar[bool] = False

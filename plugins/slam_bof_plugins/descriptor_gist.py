@@ -23,22 +23,30 @@ __all__ = ["DepthGistDescriptor", "GistDescriptor", "GistParams"]
 Image = NDArray[np.float32]
 
 HIGHEST_FREQUENCY = 0.3
-"""Of the finest scale, in cycles a pixel."""
+"""Centre frequency of the finest scale, in cycles a pixel."""
 SCALE_STEP = 1.85
 
 
 class GistParams(Params):
-    """The authors' prefilter and filter bank, at 128 pixels."""
+    """Parameters of the authors' prefilter and filter bank, for images of 128 pixels."""
 
-    n_blocks: int = Field(4, gt=0, description="along either side of the image")
-    block_px: int = Field(32, gt=0, description="side of a block; the image is squeezed to fit")
-    n_scales: int = Field(4, gt=0)
-    n_orientations: int = Field(8, gt=0)
+    n_blocks: int = Field(4, gt=0, description="Number of blocks along either side of the image.")
+    block_px: int = Field(
+        32, gt=0, description="Side of a block in pixels; the image is resized to fit."
+    )
+    n_scales: int = Field(4, gt=0, description="Number of scales of the filter bank.")
+    n_orientations: int = Field(8, gt=0, description="Number of orientations at each scale.")
     smooth_cycles: float = Field(
-        4.0, gt=0, description="an image: slower changes of brightness and contrast are evened out"
+        4.0,
+        gt=0,
+        description="Cut-off of the prefilter in cycles an image: slower changes of brightness "
+        "and contrast are removed.",
     )
     min_contrast: float = Field(
-        0.2, gt=0, description="evened out above it; of log brightness, or of metres"
+        0.2,
+        gt=0,
+        description="Contrast above which the prefilter normalises it, in units of log "
+        "brightness, or in metres for depth.",
     )
 
 

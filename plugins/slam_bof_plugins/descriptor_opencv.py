@@ -17,13 +17,17 @@ __all__ = ["OrbDescriptor", "OrbParams", "SiftDescriptor", "SiftParams"]
 class SiftParams(Params):
     """OpenCV's own defaults."""
 
-    n_features: int = Field(0, ge=0, description="the strongest that are kept; 0: all")
+    n_features: int = Field(
+        0, ge=0, description="Largest number of features; the strongest are kept. 0 keeps all."
+    )
 
 
 class OrbParams(Params):
     """OpenCV's own defaults."""
 
-    n_features: int = Field(500, gt=0, description="the strongest that are kept")
+    n_features: int = Field(
+        500, gt=0, description="Largest number of features; the strongest are kept."
+    )
 
 
 class SiftDescriptor:

@@ -41,13 +41,28 @@ ill-posed; this too is nothing beside a loop."""
 
 
 class SelectionParams(Params):
-    """Sigmas are in rad and in m alike."""
+    """Parameters of the selection of loops; standard deviations apply in rad and in m."""
 
-    step_sigma: float = Field(0.01, gt=0, description="of a settled step between keyframes")
-    loop_sigma: float = Field(0.05, gt=0, description="of a loop that is right")
-    inlier_probability: float = Field(0.99, gt=0, lt=1, description="that a right one is kept")
-    local_s: float = Field(3.0, gt=0, description="edges over less time settle the steps")
-    local_sigma: float = Field(0.02, gt=0, description="of these and of odometry, while settling")
+    step_sigma: float = Field(
+        0.01,
+        gt=0,
+        description="Standard deviation of a corrected step between keyframes, in rad and m.",
+    )
+    loop_sigma: float = Field(
+        0.05, gt=0, description="Standard deviation of a correct loop, in rad and m."
+    )
+    inlier_probability: float = Field(
+        0.99, gt=0, lt=1, description="Probability with which a correct loop is kept."
+    )
+    local_s: float = Field(
+        3.0, gt=0, description="Edges over less time than this correct the steps between keyframes."
+    )
+    local_sigma: float = Field(
+        0.02,
+        gt=0,
+        description="Standard deviation of these edges and of odometry while steps are corrected,"
+        " in rad and m.",
+    )
 
 
 class Edge(NamedTuple):

@@ -34,16 +34,35 @@ class GenzIcpParams(Params):
     """What of GenZ-ICP depends on the sensor."""
 
     points: PointParams = PointParams(stride=3, max_range_m=5.0)
-    voxel_size_m: float = Field(0.06, gt=0, description="of the map")
-    max_points_per_voxel: int = Field(1, gt=0)
-    leaf_size_m: float = Field(0.09, gt=0, description="a frame is thinned to before aligning")
-    planarity_threshold: float = Field(0.2, gt=0, description="below it a surface is a plane")
-    map_radius_m: float = Field(8.0, gt=0, description="farther parts of the map are forgotten")
-    initial_threshold_m: float = Field(0.1, gt=0)
-    min_motion_m: float = Field(0.015, gt=0)
-    max_iterations: int = Field(100, gt=0)
-    convergence: float = Field(1e-4, gt=0)
-    min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")
+    voxel_size_m: float = Field(0.06, gt=0, description="Side of the map's voxels in metres.")
+    max_points_per_voxel: int = Field(
+        1, gt=0, description="Largest number of points that a voxel of the map keeps."
+    )
+    leaf_size_m: float = Field(
+        0.09,
+        gt=0,
+        description="Side in metres of the voxels that a frame is downsampled to before it is "
+        "aligned.",
+    )
+    planarity_threshold: float = Field(
+        0.2, gt=0, description="A surface is a plane where its planarity measure is below this."
+    )
+    map_radius_m: float = Field(
+        8.0, gt=0, description="Points of the map farther than this many metres are removed."
+    )
+    initial_threshold_m: float = Field(
+        0.1, gt=0, description="Initial correspondence distance in metres."
+    )
+    min_motion_m: float = Field(
+        0.015, gt=0, description="Least motion in metres that adapts the correspondence distance."
+    )
+    max_iterations: int = Field(100, gt=0, description="Largest number of ICP iterations.")
+    convergence: float = Field(
+        1e-4, gt=0, description="ICP stops when the norm of a step (rad and m) is below this."
+    )
+    min_points: int = Field(
+        100, gt=0, description="A frame with fewer points repeats the last pose."
+    )
 
 
 class GenzIcpOdometry:

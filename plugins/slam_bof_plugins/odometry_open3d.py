@@ -28,22 +28,50 @@ METRE = 1.0
 
 
 class Open3dOdometryParams(Params):
-    """Which image each frame is aligned with, and how."""
+    """The image that each frame is aligned with, and the alignment."""
 
-    method: Literal["frame-to-keyframe", "frame-to-frame"] = "frame-to-keyframe"
-    keyframe_m: float = Field(0.1, gt=0, description="so far from the last, a new keyframe")
-    keyframe_rad: float = Field(0.15, gt=0, description="or turned by so much")
-    stride: int = Field(4, gt=0, description="every stride-th pixel in each direction")
-    min_range_m: float = Field(0.1, ge=0)
-    max_range_m: float = Field(5.0, gt=0)
-    iterations: tuple[int, ...] = Field((10, 5, 5), description="coarse to fine, halving pixels")
-    max_distance_m: float = Field(0.07, gt=0, description="between points that match")
-    min_fitness: float = Field(0.2, ge=0, le=1, description="share of points that must match")
-    min_points: int = Field(100, gt=0, description="pixels with a depth that a frame must have")
+    method: Literal["frame-to-keyframe", "frame-to-frame"] = Field(
+        "frame-to-keyframe",
+        description="Whether a frame is aligned with the last keyframe or with the last frame.",
+    )
+    keyframe_m: float = Field(
+        0.1,
+        gt=0,
+        description="A frame this many metres from the last keyframe becomes the next one.",
+    )
+    keyframe_rad: float = Field(
+        0.15,
+        gt=0,
+        description="A frame turned by this many radians since the last keyframe becomes the next"
+        " one.",
+    )
+    stride: int = Field(4, gt=0, description="Every n-th pixel of rows and columns is used.")
+    min_range_m: float = Field(
+        0.1, ge=0, description="Depths nearer than this many metres are dropped."
+    )
+    max_range_m: float = Field(
+        5.0, gt=0, description="Depths farther than this many metres are dropped."
+    )
+    iterations: tuple[int, ...] = Field(
+        (10, 5, 5),
+        description="Number of iterations at each level of the image pyramid, from coarse to fine.",
+    )
+    max_distance_m: float = Field(
+        0.07, gt=0, description="Largest distance of corresponding points in metres."
+    )
+    min_fitness: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Least share of points with a correspondence; below it a frame is not aligned.",
+    )
+    min_points: int = Field(
+        100, gt=0, description="A frame with fewer valid pixels is not aligned."
+    )
 
 
 class Open3dOdometry:
-    """Odometry of depth images. A frame that cannot be aligned is taken not to have moved."""
+    """Odometry of depth images. A frame that cannot be aligned repeats the last pose."""
 
     Params = Open3dOdometryParams
 

@@ -33,26 +33,36 @@ MAX_WAIT_S = 60.0
 
 
 class RecordedParams(Params):
-    """Which poses, and how they fit the frames."""
+    """The trajectory to play back, and how it fits the frames."""
 
-    file: Path = Field(description="of TUM lines, KITTI lines or a NumPy array; or a ROS bag")
+    file: Path = Field(
+        description="File with the trajectory: TUM lines, KITTI lines, a NumPy array, or a ROS bag."
+    )
     format: Literal["auto", "tum", "kitti", "npy", "bag"] = Field(
-        "auto", description="auto: .npy and bags by their names, else by the numbers in a line"
+        "auto",
+        description="Format of the file; auto decides by its name (.npy, bags) or the count of "
+        "numbers in a line.",
     )
     topic: str | None = Field(
-        None, description="of a bag: by default its only nav_msgs/Odometry, poses or tf"
+        None, description="Topic in a bag; by default its only nav_msgs/Odometry, poses or tf."
     )
-    world_frame: str = Field("odom", description="of tf in a bag: the frame that poses are in")
+    world_frame: str = Field("odom", description="Frame that poses from tf in a bag refer to.")
     camera_frame: str | None = Field(
-        None, description="of a bag: what moves; by default what its depth images are of"
+        None,
+        description="Frame of tf in a bag that moves; by default the frame of its depth images.",
     )
     convention: Literal["camera", "ros", "opengl"] = Field(
-        "camera", description="the axes of what moves: camera: z forward, y down; ros: x forward, "
-        "z up; opengl: z back, y up"
-    )  # fmt: skip
-    world_to_camera: bool = Field(False, description="the file has the inverse poses")
-    offset_s: float = Field(0.0, description="added to the recorded stamps")
-    max_gap_s: float = Field(0.25, gt=0, description="poses farther apart are not interpolated")
+        "camera",
+        description="Axes of the moving frame: camera (z forward, y down), ros (x forward, z up) "
+        "or opengl (z backward, y up).",
+    )
+    world_to_camera: bool = Field(
+        False, description="Whether the file has the inverse poses, from the world to the camera."
+    )
+    offset_s: float = Field(0.0, description="Time in seconds added to the recorded time stamps.")
+    max_gap_s: float = Field(
+        0.25, gt=0, description="Poses farther apart than this many seconds are not interpolated."
+    )
 
 
 class RecordedOdometry:
@@ -72,7 +82,7 @@ class RecordedOdometry:
     DatasetError
         If the file cannot be read, or by its stamps has nothing to do with the first frame.
     PluginError
-        If it is a bag, and what reads bags is not installed.
+        If it is a bag, and the library that reads bags is not installed.
     """
 
     Params = RecordedParams
@@ -94,7 +104,7 @@ class RecordedOdometry:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew: the next frame is a first one, and the identity."""
+        """Start again: the next frame is the first one and gets the identity."""
         self._n_frames = 0
         self._T_first_world: Pose | None = None
         self._T_odom_camera = np.eye(4)
@@ -182,7 +192,7 @@ def _read_bag(params: RecordedParams) -> Trajectory:
 
 
 def _text_format(file: Path) -> Literal["tum", "kitti"]:
-    """Tell TUM from KITTI by the first line that has numbers; what is neither, TUM's will name."""
+    """Distinguish TUM from KITTI by the first line of numbers; TUM where it is neither."""
     try:
         with file.open(encoding="utf-8", errors="replace") as lines:
             for line in lines:

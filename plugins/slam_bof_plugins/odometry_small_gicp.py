@@ -21,14 +21,28 @@ class SmallGicpParams(Params):
     """What of small_gicp depends on the sensor."""
 
     points: PointParams = PointParams(stride=3, max_range_m=5.0)
-    leaf_size_m: float = Field(0.06, gt=0, description="voxels that a frame is thinned to")
-    voxel_size_m: float = Field(0.1, gt=0, description="voxels of the map")
-    n_neighbours: int = Field(10, gt=4, description="that tell how a surface lies at a point")
-    max_distance_m: float = Field(0.15, gt=0, description="between a point and its voxel's mean")
-    max_iterations: int = Field(20, gt=0)
-    convergence: tuple[float, float] = Field((1e-4, 1e-4), description="steps, rad and m")
-    map_frames: int = Field(400, gt=0, description="after which a voxel unseen is forgotten")
-    min_points: int = Field(100, gt=0, description="below it the camera is taken to stand")
+    leaf_size_m: float = Field(
+        0.06, gt=0, description="Side in metres of the voxels that a frame is downsampled to."
+    )
+    voxel_size_m: float = Field(0.1, gt=0, description="Side of the map's voxels in metres.")
+    n_neighbours: int = Field(
+        10, gt=4, description="Number of neighbours by which a point's covariance is estimated."
+    )
+    max_distance_m: float = Field(
+        0.15,
+        gt=0,
+        description="Largest distance in metres between a point and the mean of its voxel.",
+    )
+    max_iterations: int = Field(20, gt=0, description="Largest number of iterations.")
+    convergence: tuple[float, float] = Field(
+        (1e-4, 1e-4), description="Iterations stop when a step is below these limits, in rad and m."
+    )
+    map_frames: int = Field(
+        400, gt=0, description="A voxel is removed when it has not been seen for this many frames."
+    )
+    min_points: int = Field(
+        100, gt=0, description="A frame with fewer points repeats the last pose."
+    )
 
 
 class SmallGicpOdometry:

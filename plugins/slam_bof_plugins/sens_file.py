@@ -59,7 +59,7 @@ class SensFile:
         n_bytes = 2 * self.depth_size[0] * self.depth_size[1]
         if self.depth_coding == "zlib_ushort":
             try:
-                # No more than what is expected and a byte: a bomb does not go off.
+                # Read at most one byte more than expected, to be safe from decompression bombs.
                 data = zlib.decompressobj().decompress(data, n_bytes + 1)
             except zlib.error as error:
                 raise DatasetError(
@@ -74,7 +74,7 @@ class SensFile:
         return np.frombuffer(data, "<u2").astype(np.uint16).reshape(self.depth_size)
 
     def read_color(self, index: int) -> bytes:
-        """Read the colour image of a frame as it is coded; empty if there is none."""
+        """Read the encoded colour image of a frame; empty if there is none."""
         at, color, _ = self.places[index].tolist()
         return self._read(at, color)
 

@@ -10,7 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from slam_bof.core import import_open3d
-from slam_bof.geometry import JudgementParams, judge, plane_information, reject, se3
+from slam_bof.geometry import (
+    RegistrationQualityParams,
+    assess_registration,
+    plane_information,
+    reject,
+    se3,
+)
 from slam_bof.types import Array, DepthFrame, Pose, Verification
 
 o3d = import_open3d()
@@ -27,16 +33,32 @@ class PreparedCloud:
     features: Any = None
 
 
-class Open3dParams(JudgementParams):
+class Open3dParams(RegistrationQualityParams):
     """Distances are for indoor depth cameras, whose noise is centimetres at metres."""
 
-    voxel_size_m: float = Field(0.06, gt=0)
-    normal_radius_m: float = Field(0.2, gt=0)
-    max_distance_m: float = Field(0.15, gt=0, description="of ICP correspondences")
-    max_iterations: int = Field(20, gt=0)
-    feature_radius_m: float = Field(0.4, gt=0)
-    ransac_iterations: int = Field(20000, gt=0)
-    inlier_distance_m: float = Field(0.06, gt=0, description="of what counts as overlap")
+    voxel_size_m: float = Field(
+        0.06,
+        gt=0,
+        description="Edge length of the voxels that clouds are reduced to, in m.",
+    )
+    normal_radius_m: float = Field(
+        0.2,
+        gt=0,
+        description="Radius in which normals are estimated, in m.",
+    )
+    max_distance_m: float = Field(
+        0.15,
+        gt=0,
+        description="Largest distance of ICP correspondences, in m.",
+    )
+    max_iterations: int = Field(20, gt=0, description="Largest number of ICP iterations.")
+    feature_radius_m: float = Field(0.4, gt=0, description="Radius of FPFH features, in m.")
+    ransac_iterations: int = Field(20000, gt=0, description="Largest number of RANSAC iterations.")
+    inlier_distance_m: float = Field(
+        0.06,
+        gt=0,
+        description="Largest distance at which a point counts as overlapping, in m.",
+    )
 
 
 class Open3dVerifier:
@@ -104,7 +126,7 @@ class Open3dVerifier:
         offset = se3.transform(T_match_query, points) - surface
         residuals_m = np.einsum("ij,ij->i", offset, normals)
         normals_query = normals @ T_match_query[:3, :3]
-        return judge(
+        return assess_registration(
             p,
             T_match_query,
             residuals_m,

@@ -15,10 +15,10 @@ from pydantic import Field
 
 from slam_bof.geometry import (
     AlignmentParams,
-    JudgementParams,
     PosePrior,
+    RegistrationQualityParams,
     ViewAligner,
-    judge,
+    assess_registration,
     make_view,
     observe,
     search_weak,
@@ -32,13 +32,18 @@ PRIOR = np.diag(np.square(np.repeat([0.02, 0.05], 3)))
 """Covariance, rad^2 and m^2, of the pose that an alignment ends with."""
 
 
-class ProjectiveParams(JudgementParams):
+class ProjectiveParams(RegistrationQualityParams):
     """What two views of the same surfaces must have in common."""
 
     alignment: AlignmentParams = AlignmentParams(
-        n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_last_iterations=4
+        n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_final_iterations=4
     )
-    max_blocking: float = Field(0.15, ge=0, le=1, description="before what the other sees")
+    max_free_space_violation: float = Field(
+        0.15,
+        ge=0,
+        le=1,
+        description="Largest share of points that may stand before what the other view sees.",
+    )
 
 
 class _Held(NamedTuple):
@@ -97,17 +102,17 @@ class ProjectiveVerifier:
             for match, *poses in zip(ids, T, guesses, strict=True)
         ]
         T = np.array([one.T_match_query for one in held])
-        overlap, violation = self._aligner.seen(query, ids, T)
+        overlap, violation = self._aligner.inlier_ratio(query, ids, T)
         pairs = self._aligner.surface_pairs(query, ids, T)
         return [
-            judge(
+            assess_registration(
                 self.params,
                 T[k],
                 pairs[k].residuals_m,
                 held[k].information,
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
-                objection=self._reason_against(float(violation[k])) or held[k].reason_against,
+                reason_against=self._reason_against(float(violation[k])) or held[k].reason_against,
             )
             for k in range(len(ids))
         ]
@@ -132,6 +137,6 @@ class ProjectiveVerifier:
         return _Held(held.keep_open(T, T_guess), held.information)
 
     def _reason_against(self, free_space_violation: float) -> str:
-        if free_space_violation <= self.params.max_blocking:
+        if free_space_violation <= self.params.max_free_space_violation:
             return ""
         return f"{free_space_violation:.2f} of the points stand before what the other sees"

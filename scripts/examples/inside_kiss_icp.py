@@ -22,7 +22,7 @@ from kiss_icp.pipeline import OdometryPipeline
 from slam_bof import LoopCloser, evaluation
 from slam_bof.geometry import se3
 from slam_bof.synthetic import Lidar, LidarParams, make_flat, make_tour
-from slam_bof.types import Trajectory
+from slam_bof.types import EdgeKind, Trajectory
 
 T_LIDAR_CAMERA = se3.pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.zeros(3))
 """LiDARs have x forward, y left, z up; cameras x right, y down, z forward."""
@@ -94,8 +94,8 @@ def main() -> None:
     pipeline._run_pipeline()  # run() would write KISS-ICP's own results as well
     trajectory = closer.finish()  # T_map_camera of each scan
 
-    n_loops = sum(loop.kind == "loop" for loop in closer.loops)
-    print(f"{len(trajectory)} scans, {len(closer.keyframes)} keyframes, {n_loops} loops")
+    n_loops = sum(loop.kind == EdgeKind.LOOP for loop in closer.map.loops)
+    print(f"{len(trajectory)} scans, {len(closer.map.keyframes)} keyframes, {n_loops} loops")
     if pipeline.has_gt:
         stamps_s = trajectory.stamps_s
         truth = Trajectory(stamps_s, pipeline.gt_poses @ T_LIDAR_CAMERA)

@@ -22,6 +22,7 @@ from slam_bof import LoopCloser
 from slam_bof.core import registry
 from slam_bof.datasets import FramePoseSynchroniser
 from slam_bof.errors import SlamBofError
+from slam_bof.types import EdgeKind
 
 MAX_LATE = 15
 """Poses that are held back and shuffled, half a second of them."""
@@ -101,8 +102,10 @@ def main() -> int:
     for process in (camera, odometry):
         process.join()
     trajectory = closer.finish()
-    n_loops = sum(loop.kind == "loop" for loop in closer.loops)
-    print(f"{len(trajectory)} of {n_frames} frames, {len(closer.keyframes)} keyframes, ", end="")
+    n_loops = sum(loop.kind == EdgeKind.LOOP for loop in closer.map.loops)
+    print(
+        f"{len(trajectory)} of {n_frames} frames, {len(closer.map.keyframes)} keyframes, ", end=""
+    )
     print(f"{n_loops} loops; at most {most} frames waited")
     for reason, count in sorted(pairing.counts.items()):
         print(f"dropped: {count} x {reason}")

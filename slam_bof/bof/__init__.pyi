@@ -8,6 +8,31 @@ from .compression import (
     pack as pack,
     unpack as unpack,
 )
+from .constellation import (
+    Constellation as Constellation,
+    ConstellationParams as ConstellationParams,
+    PlacedBofs as PlacedBofs,
+    describe_constellation as describe_constellation,
+)
+from .constellation_consensus import (
+    Motions as Motions,
+)
+from .constellation_correspondences import (
+    MatchingParams as MatchingParams,
+)
+from .constellation_index import (
+    ConstellationIndex as ConstellationIndex,
+    IndexParams as IndexParams,
+)
+from .constellation_matching import (
+    PoseHypothesis as PoseHypothesis,
+    camera_motions as camera_motions,
+    match_constellations as match_constellations,
+)
+from .constellation_packing import (
+    pack_constellation as pack_constellation,
+    unpack_constellation as unpack_constellation,
+)
 from .contours import (
     ContourParams as ContourParams,
     find_contours as find_contours,

@@ -1,4 +1,4 @@
-"""From one depth frame to one bag of words: the whole chain of the paper's section 3."""
+"""From a depth frame to its bag of words: the method of the paper's section 3."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slam_bof.bof.contours import ContourParams, find_contours
 from slam_bof.bof.descriptor import BofParams, describe
 from slam_bof.bof.layers import LayerParams, layer_images
 from slam_bof.bof.vocabulary import TfIdf, Vocabulary
-from slam_bof.core import scratch_image
+from slam_bof.core import thread_buffer
 from slam_bof.geometry import PointParams, points_camera_f32
 from slam_bof.types import Array, Bag, Contours, DepthFrame, Params
 
@@ -18,7 +18,7 @@ __all__ = ["PlaceDescriber", "PlaceParams", "descriptors", "layer_rows"]
 
 
 class PlaceParams(Params):
-    """The parameters of each step; a model holds them, as its words mean nothing without."""
+    """The parameters of each step. A model holds them, since its words depend on them."""
 
     points: PointParams = PointParams()
     layers: LayerParams = LayerParams()
@@ -29,10 +29,10 @@ class PlaceParams(Params):
 def descriptors(
     frame: DepthFrame, params: PlaceParams, *, gravity_camera: Array | None = None
 ) -> NDArray[np.float32]:
-    """Return the BOF descriptors of a frame, (C, n_values), C = 0 where nothing is seen.
+    """Return the BOF descriptors of a frame, (C, n_values); C = 0 where it has no contour.
 
-    ``gravity_camera`` (3,) is the direction down in the camera frame, which layers along gravity
-    need; others ignore it.
+    ``gravity_camera`` (3,) is the direction of gravity in the camera frame, needed for layers along
+    gravity only.
     """
     return describe(_contours(frame, params, gravity_camera), params.bof)
 
@@ -40,17 +40,17 @@ def descriptors(
 def layer_rows(
     frame: DepthFrame, params: PlaceParams, *, gravity_camera: Array | None = None
 ) -> NDArray[np.float32]:
-    """Return the BOF of each layer's largest contour, side by side, (1, n_images * n_values).
+    """Return the BOF of each layer's largest contour, concatenated, (1, n_images * n_values).
 
-    Zero where a layer has none. This is what the paper would give a neural network (section 5);
-    for such rows to be comparable, ``bof.sampling`` should be ``angle``.
+    It is zero where a layer has no contour. The paper proposes such rows as the input of a neural
+    network (section 5). To make rows comparable, ``bof.sampling`` should be ``angle``.
     """
     contours = _contours(frame, params, gravity_camera)
-    found = describe(contours, params.bof)
+    values = describe(contours, params.bof)
     rows = np.zeros((params.layers.n_images, params.bof.n_values), np.float32)
     areas = np.array([cv2.contourArea(points) for points in contours.points_px])
     for i in np.argsort(areas, kind="stable").tolist():
-        rows[contours.layer[i]] = found[i]
+        rows[contours.layer[i]] = values[i]
     return rows.reshape(1, -1)
 
 
@@ -63,7 +63,7 @@ def _contours(frame: DepthFrame, params: PlaceParams, gravity_camera: Array | No
         params.layers,
         gravity_camera=gravity_camera,
         margin_px=margin_px,
-        out=scratch_image("layers", (params.layers.n_images, side, side)),
+        out=thread_buffer("layers", (params.layers.n_images, side, side)),
     )
     return find_contours(images, params.contours, margin_px=margin_px)
 
@@ -77,7 +77,7 @@ class PlaceDescriber:
         self.tf_idf = tf_idf
 
     def describe(self, frame: DepthFrame, *, gravity_camera: Array | None = None) -> Bag:
-        """Return the frame's bag of words, empty where the frame shows nothing."""
+        """Return the frame's bag of words, empty where the frame has no contour."""
         return self.tf_idf.bag(self.words(frame, gravity_camera=gravity_camera))
 
     def words(self, frame: DepthFrame, *, gravity_camera: Array | None = None) -> NDArray[np.int32]:

@@ -1,7 +1,7 @@
-"""BOF descriptors in few bytes, to keep with a map or on disk.
+"""Lossy compression of BOF descriptors to a few bytes, for a map or a file.
 
-Radii of a closed contour are periodic and smooth, so that the low harmonics of their Fourier
-series tell almost all: each descriptor becomes ``2 n_harmonics`` bytes, whatever its length.
+The radii of a closed contour are periodic and smooth, so the low harmonics of their Fourier series
+describe them well: each descriptor becomes ``2 n_harmonics`` bytes, whatever its length.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 __all__ = ["pack", "unpack"]
 
 FULL_SCALE = 0.5
-"""Largest real or imaginary part that is told; radii in [0, 1] have none larger."""
+"""Largest real or imaginary part that can be stored; radii in [0, 1] have none larger."""
 
 
 def pack(descriptors: NDArray[np.float32], *, n_harmonics: int = 16) -> bytes:
-    """Return the radii (C, n) in ``2 n_harmonics`` bytes each.
+    """Compress radii (C, n) to ``2 n_harmonics`` bytes each.
 
-    Kept are the mean and the harmonics 1 to ``n_harmonics - 1``, each part rounded to 8 bits.
+    The mean and the harmonics 1 to ``n_harmonics - 1`` are kept, each part rounded to 8 bits.
 
     Raises
     ------
@@ -34,12 +34,12 @@ def pack(descriptors: NDArray[np.float32], *, n_harmonics: int = 16) -> bytes:
 
 
 def unpack(data: bytes, *, n_values: int = 180, n_harmonics: int = 16) -> NDArray[np.float32]:
-    """Return the descriptors (C, n_values) that ``pack`` was given, but for what it left out.
+    """Return approximations of the descriptors (C, n_values) that ``pack`` was given.
 
     Raises
     ------
     ValueError
-        If the bytes are not those of whole descriptors.
+        If the number of bytes is no multiple of a descriptor's.
 
     Examples
     --------

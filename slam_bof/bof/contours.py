@@ -7,18 +7,23 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from slam_bof.core import scratch_image
+from slam_bof.core import thread_buffer
 from slam_bof.types import Contours, Params
 
 __all__ = ["ContourParams", "find_contours"]
 
 
 class ContourParams(Params):
-    """What is closed first, and what is too small to count."""
+    """Morphological closing of an image, and the least area of its contours."""
 
-    closing_px: int = Field(5, gt=0, description="side of the square closing kernel, odd; 1: none")
+    closing_px: int = Field(
+        5,
+        gt=0,
+        description="Side of the square kernel of the morphological closing, an odd number of "
+        "pixels; 1 closes nothing.",
+    )
     min_area_share: float = Field(
-        0.01, ge=0, le=1, description="smallest contour area, as a share of the image's"
+        0.01, ge=0, le=1, description="Least area of a contour, as a share of the image's area."
     )
 
     @field_validator("closing_px")
@@ -30,7 +35,7 @@ class ContourParams(Params):
 
     @property
     def margin_px(self) -> int:
-        """Empty pixels around an image in which closing has the room it needs."""
+        """Number of empty pixels around an image that the closing needs."""
         return self.closing_px // 2 + 1
 
 
@@ -39,16 +44,16 @@ def find_contours(
 ) -> Contours:
     """Close each image and find its outer contours.
 
-    The closing is that of the unbounded plane: the image's border neither adds nor takes
-    pixels. A contour's area is that of the polygon through the centres of its pixels.
+    The closing is that of an unbounded plane: the image's border neither adds nor removes pixels.
+    A contour's area is that of the polygon through the centres of its pixels.
 
     Parameters
     ----------
     images
         (L, H + 2 margin, W + 2 margin), nonzero where a layer has points.
     margin_px
-        Empty pixels that the images have around them; what is missing to
-        ``params.margin_px`` is added in a copy.
+        Number of empty pixels around each image. If it is less than ``params.margin_px``, a copy
+        with the missing pixels is made.
 
     Returns
     -------
@@ -65,12 +70,12 @@ def find_contours(
     if images.size == 0:
         return Contours(points_px=(), layer=np.empty(0, np.int32))
     min_area_px = params.min_area_share * (height - 2 * margin_px) * (width - 2 * margin_px)
-    # All layers in one tall sheet: their margins keep them apart, and one call serves all.
+    # All layers are processed in one tall image, where their margins separate them.
     sheet = images.reshape(n_layers * height, width)
     kernel = np.ones((params.closing_px, params.closing_px), np.uint8)
-    closed = scratch_image("closed", sheet.shape)
+    closed = thread_buffer("closed", sheet.shape)
     cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel, dst=closed)
-    # Corners make the same polygon as all its pixels do, with a quarter of the points.
+    # The corners define the same polygon as all pixels, with a quarter of the points.
     found, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     kept = [contour for contour in found if cv2.contourArea(contour) >= min_area_px]
     layer = np.array([contour[0, 0, 1] // height for contour in kept], np.int32)

@@ -15,22 +15,31 @@ __all__ = ["BofParams", "describe"]
 Complex = NDArray[np.complex128]
 
 POINT_PX = 1e-6
-"""What reaches no farther is a point, whose radii are zero but for rounding."""
+"""A contour whose largest radius is below this is a point; its radii are rounding errors."""
 
 
 class BofParams(Params):
-    """How a contour is sampled, and where its descriptor begins.
+    """Sampling of a contour, and first value of its descriptor.
 
-    The paper leaves both open. Beyond it, ``farthest`` begins at the largest radius, and
-    ``fourier`` keeps the magnitudes of the radii's spectrum only, which are the same wherever
-    the contour begins: both forget how the shape is turned.
+    The paper specifies neither. Beyond it, ``farthest`` begins at the largest radius, and
+    ``fourier`` keeps only the magnitudes of the radii's spectrum; both are invariant to rotations
+    of the shape in the image.
     """
 
-    n_points: int = Field(180, gt=2, description="n: points that a contour is quantised into")
-    sampling: Literal["arc", "angle"] = Field(
-        "arc", description="equal steps along the contour, or of the angle seen from its centroid"
+    n_points: int = Field(
+        180, gt=2, description="Number of points that a contour is sampled at (the paper's n)."
     )
-    start: Literal["found", "farthest", "fourier"] = "found"
+    sampling: Literal["arc", "angle"] = Field(
+        "arc",
+        description="Sampling at equal steps along the contour (arc), or at equal angles as seen "
+        "from its centroid (angle).",
+    )
+    start: Literal["found", "farthest", "fourier"] = Field(
+        "found",
+        description="First value of a descriptor: the first point as found, the farthest point, "
+        "or magnitudes of the Fourier spectrum instead of radii, which do not depend "
+        "on the first point.",
+    )
 
     @property
     def n_values(self) -> int:

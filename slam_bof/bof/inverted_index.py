@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import Stack
+from slam_bof.core import GrowingArray
 from slam_bof.types import Bag
 
 __all__ = ["InvertedIndex"]
@@ -52,7 +52,7 @@ class InvertedIndex:
         for word, weight in zip(bag.words.tolist(), bag.weights, strict=True):
             postings = self._postings.get(word)
             if postings is not None:
-                # Of the ways to scatter, the one that takes 32-bit ids as they are.
+                # This way to scatter takes 32-bit ids without a conversion.
                 np.add.at(scores, postings.ids.rows, np.minimum(postings.weights.rows, weight))
         return np.minimum(scores, np.float32(1.0), out=scores)
 
@@ -74,8 +74,8 @@ class _Postings:
     __slots__ = ("ids", "weights")
 
     def __init__(self) -> None:
-        self.ids = Stack((), np.int32)
-        self.weights = Stack((), np.float32)
+        self.ids = GrowingArray((), np.int32)
+        self.weights = GrowingArray((), np.float32)
 
     def append(self, bag_id: int, weight: float) -> None:
         self.ids.append(bag_id)

@@ -17,33 +17,53 @@ MAX_PIXELS = 2**30
 
 
 class LayerParams(Params):
-    """How a cloud is cut, and how each layer is drawn.
+    """How a point cloud is cut into layers, and how each layer is drawn.
 
     The paper rounds to the nearest index, which makes ``n_layers + 1`` layers with ends of
     half a width (``rounding="nearest"``); the default takes the floor, with the last layer
     closed, so that exactly ``n_layers`` equal layers hold every point once.
 
-    Beyond the paper, ``thickness_m`` and ``pixel_m`` fix the scale, so that a thing looks the
-    same whatever else the frame shows: layer l then holds the heights from
-    ``start_m + l thickness_m``, and the image's centre is the camera. What lies outside is
-    not drawn.
+    Beyond the paper, ``thickness_m`` and ``pixel_m`` fix the scale, so that an object looks the
+    same whatever else the frame shows: layer l then begins at ``start_m + l thickness_m``, and the
+    camera is at the image's centre. Points outside are not drawn.
     """
 
-    n_layers: int = Field(20, gt=0, le=65534, description="L: layers along the axis")
-    resolution_px: int = Field(300, gt=1, description="R: side of a layer's image")
-    rounding: Literal["floor", "nearest"] = "floor"
+    n_layers: int = Field(
+        20, gt=0, le=65534, description="Number of layers along the axis (the paper's L)."
+    )
+    resolution_px: int = Field(
+        300, gt=1, description="Side of a layer's image in pixels (the paper's R)."
+    )
+    rounding: Literal["floor", "nearest"] = Field(
+        "floor",
+        description="Rounding of the layer index: floor makes n_layers equal layers; nearest "
+        "makes n_layers + 1, as in the paper, of which the first and the last are "
+        "half as thick.",
+    )
     axis: tuple[float, float, float] | Literal["gravity"] = Field(
-        OPTICAL_AXIS, description="v: direction in the camera frame that the layers follow"
+        OPTICAL_AXIS,
+        description="Direction along which layers are cut, in the camera frame; gravity for the "
+        "measured vertical.",
     )
     plane: Literal["camera", "axis"] = Field(
-        "camera", description="drawn on the plane across the camera's optical axis, or across v"
+        "camera",
+        description="Plane that a layer is projected on: perpendicular to the optical axis "
+        "(camera) or to the layers' axis (axis).",
     )
     thickness_m: float | None = Field(
-        None, gt=0, description="of a layer; none: the frame's extent in n_layers parts"
+        None,
+        gt=0,
+        description="Thickness of a layer in metres; none divides the extent of the cloud into "
+        "n_layers.",
     )
-    start_m: float = Field(0.0, description="where layers of fixed thickness begin, along v")
+    start_m: float = Field(
+        0.0,
+        description="Position along the axis at which layers of fixed thickness begin, in metres.",
+    )
     pixel_m: float | None = Field(
-        None, gt=0, description="side of a pixel; none: the layer's extent fills the image"
+        None,
+        gt=0,
+        description="Side of a pixel in metres; none fits the extent of each layer to the image.",
     )
 
     @field_validator("axis")

@@ -25,32 +25,32 @@ __all__ = ["TfIdf", "Vocabulary", "count_words"]
 
 @dataclass(eq=False, repr=False)
 class Vocabulary(ClusterMixin, BaseEstimator):
-    """A codebook of visual words, by plain k-means (paper, section 3.3) at a fraction of its cost.
+    """A codebook of visual words by k-means (paper, section 3.3), at a fraction of its cost.
 
-    Radii of closed curves vary smoothly: a few principal components tell almost all distances.
-    Lloyd's iterations run in these, first on a sample, then a few on everything; the words are
-    the means of their descriptors in full length.
+    The radii of closed curves vary smoothly, so a few principal components preserve almost all
+    distances. Lloyd's iterations run on these components, first on a sample, then a few on all
+    descriptors; the words are the means of the descriptors in full length.
 
     Parameters
     ----------
     n_words
-        k: words to learn.
+        Number of words (k).
     seed
-        Of the seeding (k-means++) and the sample; the same descriptors and seed give the
-        same words.
+        Seed of the initial words (k-means++) and the sample; the same descriptors and seed give
+        the same words.
     n_components
-        Principal components to find the clusters in, as far as the descriptors have them.
+        Number of principal components that clusters are found in, or all if there are fewer.
     sample_per_word, sample_iterations
-        Size of the sample, and Lloyd's iterations on it at most.
+        Size of the sample, in descriptors a word, and largest number of iterations on it.
     iterations
-        Lloyd's iterations on all descriptors at most.
+        Largest number of iterations on all descriptors.
 
     Attributes
     ----------
     words_ : (n_words, D) float32
         The words.
     labels_ : (M,) int32
-        The word of each descriptor that ``fit`` saw.
+        The word of each descriptor passed to ``fit``.
     """
 
     n_words: int = 1024
@@ -76,18 +76,18 @@ class Vocabulary(ClusterMixin, BaseEstimator):
             )
         # With one thread sums have one order, and the same seed gives the same bytes.
         with threadpool_limits(1), warnings.catch_warnings():
-            # Fewer distinct descriptors than words is no fault of the caller's.
+            # Descriptors may have fewer distinct values than there are words.
             warnings.simplefilter("ignore", ConvergenceWarning)
             self._set_words(self._learn(X))
         self.labels_ = self._nearest(X)
         return self
 
     def _learn(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the words (n_words, D): clusters are found in the principal components."""
+        """Return the words (n_words, D), by clusters in the principal components."""
         if len(X) == 1:  # no components
             return X
         components = PCA(min(self.n_components, *X.shape), svd_solver="covariance_eigh")
-        with np.errstate(invalid="ignore"):  # shares of a variance of zero, which nobody asks for
+        with np.errstate(invalid="ignore"):  # ratios to a variance of zero, which are not used
             reduced = np.ascontiguousarray(components.fit_transform(X), np.float32)
         random = np.random.default_rng(self.seed)
         n_sampled = min(self.sample_per_word * self.n_words, len(X))
@@ -100,7 +100,7 @@ class Vocabulary(ClusterMixin, BaseEstimator):
             kmeans = KMeans(self.n_words, init=centres, n_init=1, max_iter=n_iterations)
             centres = kmeans.fit(points).cluster_centers_
         means, counts = _means(X, kmeans.labels_, self.n_words)
-        # Clusters that nobody is in stay where k-means left them.
+        # Empty clusters keep the centre that k-means gave them.
         return np.where(counts[:, None] > 0, means, components.inverse_transform(centres))
 
     def predict(self, X: NDArray[Any]) -> NDArray[np.int32]:
@@ -110,7 +110,7 @@ class Vocabulary(ClusterMixin, BaseEstimator):
         return self._nearest(X)
 
     def lookup(self, descriptors: NDArray[np.float32]) -> NDArray[np.int32]:
-        """Return what ``predict`` does, unchecked, and for no descriptors no words."""
+        """Return what ``predict`` returns, without its checks; (0, D) gives no words."""
         return self._nearest(descriptors)
 
     @classmethod

@@ -1,33 +1,37 @@
-"""The Typer application: its commands, and one line on stderr for what the user can mend."""
+"""The Typer application: its commands, and one line on stderr for mistakes of the user."""
 
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
 
 from slam_bof.cli.bench import bench
-from slam_bof.cli.doctor import config, doctor, plugins, version
-from slam_bof.cli.download import download, record
-from slam_bof.cli.evaluate_places import evaluate
-from slam_bof.cli.export import export, report
+from slam_bof.cli.config import config
+from slam_bof.cli.demo import demo
+from slam_bof.cli.doctor import doctor
+from slam_bof.cli.download import download
+from slam_bof.cli.evaluate import app as evaluate
+from slam_bof.cli.export import export
 from slam_bof.cli.localize import localize
 from slam_bof.cli.map import app as map_tools
+from slam_bof.cli.options import NumbersCommand
+from slam_bof.cli.plugins import plugins
 from slam_bof.cli.query import query
-from slam_bof.cli.run import demo, run
-from slam_bof.cli.tables import ListCommand
+from slam_bof.cli.record import record
+from slam_bof.cli.report import report
+from slam_bof.cli.run import INTERRUPTED, run
 from slam_bof.cli.train import train
+from slam_bof.cli.version import print_version, version
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
 
-INTERRUPTED = 130  # as shells have it: 128 + SIGINT
-
 
 class OneLineErrors(TyperGroup):
-    """Commands whose user's mistakes end in ``error: ...`` and exit code 1, bugs in a traceback."""
+    """Commands that report a user's mistake as ``error: ...``, and a bug as a traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -36,7 +40,7 @@ class OneLineErrors(TyperGroup):
         except SlamBofError as error:
             fail(str(error), 1)
         except BrokenPipeError:
-            # Whoever read the output has had enough; there is nobody left to tell.
+            # The reader of the output has closed it, so there is no one to print to.
             os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
             raise typer.Exit(1) from None
         except OSError as error:
@@ -45,11 +49,11 @@ class OneLineErrors(TyperGroup):
             place = f"{error.filename}: " if error.filename else ""
             fail(f"{place}{error.strerror}", 1)
         except KeyboardInterrupt:
-            fail("interrupted; what was written stays", INTERRUPTED)
+            fail("interrupted", INTERRUPTED)
 
 
 def fail(message: str, code: int) -> None:
-    """Say what is wrong in one line, and leave."""
+    """Print an error in one line, and exit."""
     typer.echo(f"error: {' '.join(message.splitlines())}", err=True)
     raise typer.Exit(code)
 
@@ -61,12 +65,27 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool,
+        typer.Option(
+            "--version", is_eager=True, callback=print_version, help="Print the version and exit."
+        ),
+    ] = False,
+) -> None:
+    """Depth-only place recognition, loop closing and scene labels."""
+
+
 for command in (
     *(demo, run, query, localize, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
-    app.command(cls=ListCommand if command in (query, localize) else None)(command)
+    app.command(cls=NumbersCommand if command in (query, localize) else None)(command)
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(map_tools, name="map")
 

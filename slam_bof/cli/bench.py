@@ -1,4 +1,4 @@
-"""``slam-bof bench``: what BOF costs beside SIFT and ORB, as the paper's tables 7 to 9 have it."""
+"""``slam-bof bench``: the cost of BOF, SIFT and ORB, as in Tables 7 to 9 of the paper."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import JSON, QUIET
+from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED
 
 __all__ = ["bench"]
 
@@ -33,21 +33,22 @@ MEMORY = (
 
 def bench(
     data: Annotated[
-        list[Path], typer.Option("--data", help="A sequence; several are a class each.")
+        list[Path], typer.Option("--data", help="A sequence; each of several is a class.")
     ],
     n_frames: Annotated[
-        int | None, typer.Option("--frames", min=4, help="So many of each, evenly spaced.")
+        int | None,
+        typer.Option("--frames", min=4, help="Frames per sequence, evenly spaced."),
     ] = None,
-    n_words: Annotated[int, typer.Option("--words", min=2, help="Of the codebooks.")] = 1024,
+    n_words: N_WORDS = 1024,
     index_sizes: Annotated[
         list[int] | None,
-        typer.Option("--index-size", min=1, help="Keyframes that a query is timed against."),
+        typer.Option("--index-size", min=1, help="Keyframes in the index when timing queries."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
+    seed: SEED = 0,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
-    """Measure what BOF costs beside SIFT and ORB: CPU time, memory, queries (one thread)."""
+    """Compare the cost of BOF, SIFT and ORB: CPU time, memory and queries (one thread)."""
     from slam_bof.cli.console import Bars, print_json
     from slam_bof.core import registry
     from slam_bof.evaluation import run_bench
@@ -76,11 +77,11 @@ def _print(figures: dict[str, Any]) -> None:
     sequences = ", ".join(figures["sequences"])
     typer.echo(
         f"{sequences}: {figures['frames']} frames, one thread, decoding "
-        f"({figures['decode_ms']:.1f} ms a frame) not counted."
+        f"({figures['decode_ms']:.1f} ms per frame) not counted."
     )
     if len(figures["sequences"]) == 1:
         typer.echo(
-            f"Classes are {len(figures['classes'])} stretches of the sequence: for the time only."
+            f"The classes are {len(figures['classes'])} segments of the sequence, for timing only."
         )
     for name, why in figures["left_out"].items():
         typer.echo(f"{name} is left out: {why}.")
@@ -141,9 +142,9 @@ def _print_frames(figures: dict[str, Any], methods: dict[str, dict[str, Any]]) -
                 [what.format(k), *((methods[n].get(key) or {}).get(k) for n in names)]
                 for k in ("1", "5", "10")
             ]
-    print_table(["a frame", *names], rows)
+    print_table(["per frame", *names], rows)
     print_table(
-        ["keyframes", "query, CPU ms (median)", "add, CPU ms", "bytes a keyframe"],
+        ["keyframes", "query, CPU ms (median)", "add, CPU ms", "bytes per keyframe"],
         [
             [n, row["query_ms"], row["add_ms"], row["bytes_per_keyframe"]]
             for n, row in figures["index"].items()
@@ -153,7 +154,7 @@ def _print_frames(figures: dict[str, Any], methods: dict[str, dict[str, Any]]) -
 
 
 def _pair(columns: tuple[dict[str, Any], dict[str, Any]], process: str, digits: int) -> str:
-    """Return the CPU's and the real figure of a process."""
+    """Return CPU time and real time of a process as text."""
     values = [column[process] for column in columns]
     return " / ".join("-" if value is None else f"{value:.{digits}f}" for value in values)
 

@@ -1,4 +1,7 @@
-"""What the commands print with: JSON and tables on stdout, progress and warnings on stderr."""
+"""Printing: JSON and tables on stdout, progress and warnings on stderr.
+
+Text is printed as it is, never read as Rich markup: paths may have brackets.
+"""
 
 from __future__ import annotations
 
@@ -18,41 +21,76 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
-from rich.table import Table
+from rich.table import Column, Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from slam_bof.types import Step
 
 __all__ = ["Bar", "Bars", "FrameBar", "print_json", "print_table"]
 
-UNLIMITED = 10_000
-"""Columns of a terminal that no table fills."""
+MAX_TEXT = 28
+"""Characters of a cell from which on it is wrapped where space is short."""
+FRAME = 3
+"""Characters of a table's frame and padding for each column."""
 
 
 def print_json(value: Any) -> None:
-    """Print a value as JSON, and nothing else; what is not a number there becomes null."""
+    """Print a value as JSON, with null for NaN and infinity."""
     typer.echo(json.dumps(_plain(value), indent=2, allow_nan=False))
 
 
 def print_table(
     columns: Sequence[str], rows: Iterable[Sequence[object]], *, title: str = ""
 ) -> None:
-    """Print rows under column names, as wide as the terminal; in full where there is none."""
+    """Print rows under column names, in full if stdout is not a terminal.
+
+    Columns that do not fit side by side on the terminal follow in further tables, each with the
+    first column repeated.
+    """
     console = Console(highlight=False)
-    table = Table(*columns, title=title or None, title_justify="left")
-    for row in rows:
-        table.add_row(*(_text(value) for value in row))
+    cells = [[_text(value) for value in row] for row in rows]
+    widths = [
+        max(len(line) for cell in column for line in cell.splitlines() or [""])
+        for column in zip(columns, *cells, strict=True)
+    ]
     if not console.is_terminal:
-        unlimited = console.options.update(width=UNLIMITED)
-        console.width = max(console.width, console.measure(table, options=unlimited).maximum)
-    console.print(table)
+        console.width = max(console.width, sum(widths) + FRAME * len(widths) + 1)
+    for number, chosen in enumerate(_fit(widths, console.width)):
+        table = Table(
+            *(_column(columns[k], widths[k]) for k in chosen),
+            title=Text(title) if title and not number else None,
+            title_justify="left",
+        )
+        for row in cells:
+            table.add_row(*(Text(row[k]) for k in chosen))
+        console.print(table)
+
+
+def _fit(widths: Sequence[int], limit: int) -> list[list[int]]:
+    """Return which columns to print side by side, in as few tables as their widths allow."""
+    tables: list[list[int]] = [[]]
+    used = 1
+    for k, width in enumerate(widths):
+        needed = min(width, MAX_TEXT) + FRAME
+        if len(tables[-1]) > 1 and used + needed > limit:
+            tables.append([0])
+            used = 1 + min(widths[0], MAX_TEXT) + FRAME
+        tables[-1].append(k)
+        used += needed
+    return tables
+
+
+def _column(name: str, width: int) -> Column:
+    """Return a column that wraps only long text."""
+    return Column(Text(name), no_wrap=width <= MAX_TEXT, overflow="fold")
 
 
 class Bar:
-    """A progress bar on stderr; without a terminal a line for each tenth, or nothing at all.
+    """A progress bar on stderr; without a terminal, a line for each tenth.
 
-    One that is not ``live`` is drawn only when it is told of progress: no thread of its own
-    takes time from what is being measured.
+    A bar that is not ``live`` is drawn only when progress is reported, without a thread that
+    would take time from what is being measured.
     """
 
     def __init__(self, what: str, *, quiet: bool = False, live: bool = True) -> None:
@@ -60,18 +98,18 @@ class Bar:
         self._what = what
         self._live = live
         self._progress = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             TimeRemainingColumn(),
-            TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[note]}", markup=False),
             console=self._console,
             disable=quiet or not self._console.is_terminal,
             auto_refresh=live,
         )
         self._task = self._progress.add_task(what, total=None, note="")
-        self._told = 0
+        self._n_tenths = 0
 
     def __enter__(self) -> Self:
         """Show the bar."""
@@ -88,22 +126,25 @@ class Bar:
         self._progress.stop()
 
     def show(self, done: int, total: int, note: str = "") -> None:
-        """Tell how far the work has come."""
+        """Report how much of the work is done."""
         self._progress.update(
             self._task, completed=done, total=total, note=note, refresh=not self._live
         )
         tenth = 10 * done // total if total else 10
-        if not self._console.is_terminal and tenth > self._told:
-            self._told = tenth
-            self._console.print(f"{self._what}: {done}/{total} {note}".rstrip())
+        if not self._console.is_terminal and tenth > self._n_tenths:
+            self._n_tenths = tenth
+            self._print(f"{self._what}: {done}/{total} {note}".rstrip())
 
     def warn(self, message: str) -> None:
         """Print a warning above the bar."""
-        self._console.print(f"warning: {message}", markup=False)
+        self._print(f"warning: {message}")
+
+    def _print(self, text: str) -> None:
+        self._console.print(text, markup=False, emoji=False)
 
 
 class Bars(ExitStack):
-    """A progress bar for each thing that is done, one after the other; none is ``live``."""
+    """Progress bars of tasks that are done one after the other; none is ``live``."""
 
     def __init__(self, *, quiet: bool) -> None:
         super().__init__()
@@ -111,7 +152,7 @@ class Bars(ExitStack):
         self._bars: dict[str, Bar] = {}
 
     def show(self, what: str, done: int, total: int) -> None:
-        """Tell how far it has come."""
+        """Report how much of a task is done."""
         if what not in self._bars:
             self.close()
             self._bars[what] = self.enter_context(Bar(what, quiet=self._quiet, live=False))
@@ -119,7 +160,7 @@ class Bars(ExitStack):
 
 
 class FrameBar(Bar):
-    """The observer of a run that shows it as a progress bar."""
+    """An observer that shows a run as a progress bar."""
 
     def __init__(self, what: str, *, quiet: bool = False) -> None:
         super().__init__(what, quiet=quiet)
@@ -134,8 +175,10 @@ class FrameBar(Bar):
 
     def on_step(self, frame_index: int, step: Step) -> None:
         """Move the bar on."""
+        from slam_bof.types import EdgeKind
+
         self._n_keyframes += step.keyframe is not None
-        self._n_loops += sum(loop.kind == "loop" for loop in step.loops)
+        self._n_loops += sum(loop.kind == EdgeKind.LOOP for loop in step.loops)
         scene = f", {step.scene.label}" if step.scene else ""
         note = f"{self._n_keyframes} keyframes, {self._n_loops} loops{scene}"
         self.show(frame_index + 1, self._n_frames, note)
@@ -153,7 +196,7 @@ def _text(value: object) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON can have it."""
+    """Return a value with only what JSON has."""
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

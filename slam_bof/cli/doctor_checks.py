@@ -1,4 +1,4 @@
-"""What ``slam-bof doctor`` looks at."""
+"""The checks of ``slam-bof doctor``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of the check-up; ``remedy`` says what to do where ``ok`` is false."""
+    """The result of one check; ``remedy`` says what to do where ``ok`` is false."""
 
     what: str
     ok: bool
@@ -32,7 +32,7 @@ class Finding:
 
 
 def examine() -> list[Finding]:
-    """Make all checks; one that fails does not keep the others from being made."""
+    """Run all checks, also after one that fails."""
     return [
         _python(),
         *_packages(),
@@ -59,7 +59,7 @@ def _python() -> Finding:
 
 
 def _packages() -> Iterator[Finding]:
-    """Hold each dependency against the least version that slam_bof asks for."""
+    """Compare the installed version of each dependency with the required one."""
     from packaging.requirements import Requirement
 
     for text in sorted(metadata.requires("slam-bof") or []):
@@ -78,12 +78,12 @@ def _packages() -> Iterator[Finding]:
 def _libusb() -> Finding:
     system = ctypes.util.find_library("usb-1.0")
     if system:
-        return Finding("libusb", True, f"{system}, the system's")
+        return Finding("libusb", True, f"{system}, from the system")
 
     def bundled() -> str:
         import libusb_package
 
-        return f"{libusb_package.get_library_path()}, of libusb-package"
+        return f"{libusb_package.get_library_path()}, from libusb-package"
 
     return _attempt("libusb", bundled, "pip install libusb-package")
 
@@ -97,7 +97,7 @@ def _open3d() -> str:
 def _model() -> str:
     from slam_bof.scenes import model
 
-    return f"hash {model.load_default().content_hash[:12]}"
+    return f"hash {model.resolve().content_hash[:12]}"
 
 
 def _threads() -> Finding:
@@ -109,5 +109,5 @@ def _threads() -> Finding:
 def _disk() -> Finding:
     free = shutil.disk_usage(Path.cwd()).free
     ok = free >= MIN_FREE_BYTES
-    remedy = "" if ok else "free some space, or give run another --out"
+    remedy = "" if ok else "free some space, or choose another folder with run --out"
     return Finding("Disk space here", ok, f"{free / 1e9:.1f} GB free", remedy)

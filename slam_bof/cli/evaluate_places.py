@@ -1,60 +1,44 @@
-"""``slam-bof evaluate``: how often a description finds the place again; scene labels."""
+"""``slam-bof evaluate places``: recall, precision and cost of place recognition."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.evaluate_scenes import scenes
-from slam_bof.cli.options import JSON, QUIET
+from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
+    from slam_bof.evaluation import MethodScores, PlaceQueries
 
-    from slam_bof.evaluation import Scored
-    from slam_bof.ports import Dataset
-
-__all__ = ["evaluate"]
+__all__ = ["places"]
 
 TRUTHS = ("pose", "overlap")
 
-evaluate = typer.Typer(help="Judge descriptions of frames by ground truth.", no_args_is_help=True)
 
-
-@evaluate.callback()
-def _group() -> None:
-    """Judge descriptions of frames by ground truth."""
-
-
-evaluate.command()(scenes)
-
-
-@evaluate.command()
 def places(
     sequences: Annotated[list[Path], typer.Argument(help="Sequences with ground truth.")],
     descriptors: Annotated[
         str,
-        typer.Option(help="Plug-ins by name, or recogniser, with commas between; or all."),
+        typer.Option(help="Descriptor plug-ins and recogniser, separated by commas; or all."),
     ] = "all",
     train: Annotated[
-        list[Path] | None, typer.Option(help="A sequence to learn visual words of.")
+        list[Path] | None, typer.Option(help="A sequence to learn visual words from.")
     ] = None,
-    every: Annotated[int, typer.Option(min=1, help="Each so many frames asks and answers.")] = 5,
-    min_age: Annotated[int, typer.Option(min=1, help="Frames an answer is older.")] = 101,
-    n_words: Annotated[int, typer.Option("--words", min=2, help="Of each vocabulary.")] = 1024,
+    every: Annotated[int, typer.Option(min=1, help="Use every n-th frame.")] = 5,
+    min_age: Annotated[int, typer.Option(min=1, help="Least age of an answer in frames.")] = 101,
+    n_words: N_WORDS = 1024,
     odometry: Annotated[
-        str, typer.Option(help="Plug-in that the recogniser is beside.")
+        str, typer.Option(help="Odometry plug-in used with the recogniser.")
     ] = "kiss-icp",
-    seed: Annotated[int, typer.Option(min=0, help="Of what is drawn at random.")] = 0,
+    seed: SEED = 0,
     curves: Annotated[
-        Path | None, typer.Option(help="HTML file to write the precision-recall curves to.")
+        Path | None, typer.Option(help="HTML file to write with the precision-recall curves.")
     ] = None,
     misses: Annotated[
-        Path | None, typer.Option(help="HTML file to show what was missed in, by overlap.")
+        Path | None,
+        typer.Option(help="HTML file to write with the wrong answers."),
     ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
@@ -63,24 +47,18 @@ def places(
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.core import registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
-    from slam_bof.visualization import Missed, find_misses, write_misses
+    from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
 
     names = [RECOGNISER, *registry.names("descriptors")]
     chosen = names if descriptors == "all" else [name.strip() for name in descriptors.split(",")]
     for name in chosen:
         if name != RECOGNISER:
             registry.load("descriptors", name)
-    missed: list[Missed] = []
+    missed: list[MissedQueries] = []
 
-    def look(
-        dataset: Dataset,
-        indices: Sequence[int],
-        scored: Scored,
-        right: dict[str, NDArray[np.bool_]],
-        allowed: NDArray[np.bool_],
-    ) -> None:
-        found = find_misses(scored.scores, right["overlap"], allowed)
-        missed.append(Missed(scored.method, dataset, indices, *found))
+    def collect_misses(queries: PlaceQueries, scores: MethodScores) -> None:
+        found = find_missed_queries(scores.scores, queries.relevant["overlap"], queries.allowed)
+        missed.append(MissedQueries(scores.method, queries.dataset, queries.indices, *found))
 
     with Bar("Places", quiet=quiet) as bar:
         rows = evaluate_places(
@@ -92,12 +70,12 @@ def places(
             odometry=odometry,
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),
-            on_scored=look,
+            on_scores=collect_misses,
         )
     if curves is not None:
         _write_curves(rows, curves)
     if misses is not None:
-        write_misses(misses, missed)
+        write_missed_queries(misses, missed)
     if as_json:
         print_json(rows)
     else:
@@ -127,10 +105,10 @@ def _write_curves(rows: list[dict[str, Any]], path: Path) -> None:
 def _print(rows: list[dict[str, Any]]) -> None:
     from slam_bof.cli.console import print_table
 
-    judged = [row for row in rows if "left_out" not in row]
+    evaluated = [row for row in rows if "left_out" not in row]
     for kind in TRUTHS:
         table = []
-        for row in judged:
+        for row in evaluated:
             figures = row[kind]
             shares: list[object] = [None] * 6
             if figures:
@@ -148,7 +126,7 @@ def _print(rows: list[dict[str, Any]]) -> None:
             "R@10",
             "R@20",
             "AP",
-            "recall at P = 1",
+            "recall at precision 1",
             "CPU ms",
             "query ms",
             "bytes",

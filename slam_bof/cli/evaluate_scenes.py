@@ -1,4 +1,4 @@
-"""``slam-bof evaluate scenes``: scene labels by the paper's protocols, beside other methods."""
+"""``slam-bof evaluate scenes``: methods of scene labelling compared by the paper's protocols."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slam_bof.cli.options import JSON, QUIET
+from slam_bof.cli.options import EVERY, JSON, N_WORDS, QUIET, SEED
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -26,55 +26,55 @@ def scenes(
     protocol: Annotated[
         Protocol,
         typer.Option(
-            help="holdout: random frames of each sequence are tested (paper, Table 2). "
-            "time-split: the end of each sequence, after a gap. "
-            "unseen: other sequences, by each scene's TrainSplit.txt and TestSplit.txt (Table 3). "
+            help="holdout: test on random frames of each sequence (paper, Table 2). "
+            "time-split: test on the end of each sequence, after a gap. "
+            "unseen: test on other sequences, as in each scene's TrainSplit.txt and TestSplit.txt "
+            "(Table 3). "
             "sunrgbd: the official split (Tables 4, 5). "
-            "tour: trained on one day, tested on another (Table 6, Figure 9). "
-            "synthetic: rooms never seen, made in memory."
+            "tour: train on one day, test on another (Table 6, Figure 9). "
+            "synthetic: test on other rooms than those of training, made in memory."
         ),
     ],
     label: Annotated[
         list[str] | None,
         typer.Option(
             metavar="NAME=PATH",
-            help="A class: its sequence; for unseen, its scene with split files; for tour, "
-            "the sequences of the first day. Several times.",
+            help="A class and its sequence; for unseen, its scene with split files; for tour, its "
+            "sequences of the first day. May be given several times.",
         ),
     ] = None,
     csv: Annotated[
-        Path | None, typer.Option(help="CSV with rows path,label instead; see train.")
+        Path | None,
+        typer.Option(help="CSV file with rows path,label, as for train."),
     ] = None,
-    data: Annotated[
-        Path | None, typer.Option(help="For sunrgbd: the folder of the data set.")
-    ] = None,
+    data: Annotated[Path | None, typer.Option(help="For sunrgbd: folder of the data set.")] = None,
     train: Annotated[
         list[Path] | None,
-        typer.Option(help="For tour: a sequence with labels of its own, of the first day."),
+        typer.Option(help="For tour: a sequence of the first day that has labels of its own."),
     ] = None,
     test: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="PATH|NAME=PATH", help="For tour: a sequence of the other day, labelled."
+            metavar="PATH|NAME=PATH", help="For tour: a labelled sequence of the other day."
         ),
     ] = None,
     methods: Annotated[
         str,
         typer.Option(
-            help="ours, descriptor plug-ins, A+B for both side by side, A:mlp for another "
-            "classifier than an RBF SVM (see train --classifier); commas between."
+            help="Methods, separated by commas: ours, descriptor plug-ins, A+B for two joined, "
+            "A:mlp for another classifier than an RBF SVM (see train --classifier)."
         ),
     ] = METHODS,
-    every: Annotated[int, typer.Option(min=1, help="Take each so many frames.")] = 1,
+    every: EVERY = 1,
     train_rooms: Annotated[
-        int, typer.Option(min=2, help="For synthetic: rooms of a kind to train with.")
+        int, typer.Option(min=2, help="For synthetic: rooms per class to train with.")
     ] = 40,
     test_rooms: Annotated[
-        int, typer.Option(min=1, help="For synthetic: rooms of a kind to test with.")
+        int, typer.Option(min=1, help="For synthetic: rooms per class to test with.")
     ] = 10,
-    views: Annotated[int, typer.Option(min=1, help="For synthetic: views of a room.")] = 6,
-    n_words: Annotated[int, typer.Option("--words", min=2, help="Of each vocabulary.")] = 1024,
-    seed: Annotated[int, typer.Option(min=0, help="Of all that is drawn at random.")] = 0,
+    views: Annotated[int, typer.Option(min=1, help="For synthetic: views per room.")] = 6,
+    n_words: N_WORDS = 1024,
+    seed: SEED = 0,
     out: Annotated[
         Path | None,
         typer.Option("--out", "-o", help="Folder for scenes.html and confusion_METHOD.png."),
@@ -82,12 +82,12 @@ def scenes(
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
-    """Compare ways to label frames with scenes: accuracy, calibration, cost."""
+    """Compare methods of scene labelling: accuracy, calibration and cost."""
     from slam_bof.cli.console import Bars, print_json
-    from slam_bof.evaluation import compare, make_methods
+    from slam_bof.evaluation import compare_methods, make_methods
     from slam_bof.visualization import write_comparison
 
-    _refuse_strangers(protocol, label=label, csv=csv, data=data, train=train, test=test)
+    _check_options(protocol, label=label, csv=csv, data=data, train=train, test=test)
     chosen = make_methods([name.strip() for name in methods.split(",")], n_words=n_words, seed=seed)
     if protocol == "synthetic":
         from slam_bof.evaluation import split_rooms
@@ -98,7 +98,7 @@ def scenes(
     # The paper's hold-out asks for neighbours in time on both sides, so calibration does as well.
     groups = [str(k) for k in range(len(split.train))] if protocol == "holdout" else None
     with Bars(quiet=quiet) as bars:
-        results, left_out = compare(split, chosen, groups=groups, on_progress=bars.show)
+        results, left_out = compare_methods(split, chosen, groups=groups, on_progress=bars.show)
     files = []
     if out is not None:
         subtitle = f"{len(split.train)} frames to train with, {len(split.test)} to test with"
@@ -111,8 +111,8 @@ def scenes(
         _print(protocol, split, results, left_out, files)
 
 
-def _refuse_strangers(protocol: str, **options: Any) -> None:
-    """Refuse options that the protocol has no use for, and ask for those that it needs."""
+def _check_options(protocol: str, **options: Any) -> None:
+    """Refuse options that the protocol does not use, and require those that it needs."""
     given = {f"--{name}": value for name, value in options.items()}
     uses: dict[str, set[str]] = {
         "sunrgbd": {"--data"},
@@ -194,7 +194,7 @@ def _print(
         )
         for r in results
     ]
-    columns = ("accuracy", "mean-class", "ECE", "CPU ms a frame", "training CPU s", "learnt MB")
+    columns = ("accuracy", "mean-class", "ECE", "CPU ms per frame", "training CPU s", "model MB")
     title = f"{protocol}: {len(split.train)} frames to train with, {len(split.test)} to test with"
     print_table(("method", *columns), rows, title=title)
     if results:
@@ -203,11 +203,11 @@ def _print(
             (c.label, c.n_frames, *(r.scores.by_class[k].recall for r in results))
             for k, c in enumerate(results[0].scores.by_class)
         ]
-        print_table(("class", "tested", *names), by_class, title="Share of each class found")
+        print_table(("class", "tested", *names), by_class, title="Recall by class")
     for name, why in left_out.items():
         typer.echo(f"{name} is left out: {why}.")
     for file in files[:1]:
-        typer.echo(f"Page: {file}; {len(files) - 1} confusion matrices beside it.")
+        typer.echo(f"Page: {file}; {len(files) - 1} confusion matrices in the same folder.")
 
 
 def _figures(

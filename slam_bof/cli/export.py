@@ -1,4 +1,4 @@
-"""Commands that write what a run has left: ``report`` and ``export``."""
+"""``slam-bof export``: a saved map in the file formats of other programs."""
 
 from __future__ import annotations
 
@@ -7,31 +7,11 @@ from typing import Annotated, Literal
 
 import typer
 
+from slam_bof.cli.inputs import map_file
 from slam_bof.cli.options import JSON, MAP
-from slam_bof.cli.query import map_file
 from slam_bof.errors import ConfigError
 
-__all__ = ["export", "report"]
-
-
-def report(
-    run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")],
-    out: Annotated[
-        Path | None, typer.Option("--out", "-o", help="The page; by default the run's own.")
-    ] = None,
-    as_json: JSON = False,
-) -> None:
-    """Write the page of a run again, from the files that it left."""
-    from slam_bof.cli.console import print_json
-    from slam_bof.run import read_run
-    from slam_bof.visualization import write_report
-
-    page = out or run / "report.html"
-    write_report(page, read_run(run))
-    if as_json:
-        print_json({"report": str(page)})
-    else:
-        typer.echo(f"Report: {page}")
+__all__ = ["export"]
 
 
 def export(
@@ -41,44 +21,45 @@ def export(
         Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"],
         typer.Option(
             "--format",
-            help="Keyframe poses (tum, kitti), these with labels (csv), the pose graph (g2o), a "
-            "point cloud coloured by height (ply), a plan for ROS map_server (occupancy: YAML, "
-            "and a PNG beside it).",
+            help="Poses of the keyframes (tum, kitti), poses and labels (csv), the pose graph "
+            "(g2o), a point cloud coloured by height (ply), or an occupancy grid for ROS's "
+            "map_server (occupancy: YAML, with a PNG beside it).",
         ),
     ] = "tum",
     session: Annotated[
-        int | None, typer.Option(min=0, help="Only this session's; by default all.")
+        int | None, typer.Option(min=0, help="Export only this session; by default all.")
     ] = None,
     all_frames: Annotated[
         bool,
-        typer.Option("--all-frames", help="Of tum, kitti: every frame of the session."),
+        typer.Option("--all-frames", help="For tum and kitti: every frame of the session."),
     ] = False,
     voxel: Annotated[
-        float, typer.Option(min=0.001, metavar="M", help="Of ply: one point in each voxel.")
+        float,
+        typer.Option(min=0.001, metavar="M", help="For ply: one point per voxel of this side."),
     ] = 0.02,
     resolution: Annotated[
-        float, typer.Option(min=0.005, metavar="M", help="Of occupancy: side of a cell.")
+        float, typer.Option(min=0.005, metavar="M", help="For occupancy: side of a grid cell.")
     ] = 0.05,
     min_height: Annotated[
-        float, typer.Option(metavar="M", help="Of occupancy: what is lower is floor.")
+        float, typer.Option(metavar="M", help="For occupancy: lower points are floor.")
     ] = 0.1,
     max_height: Annotated[
-        float, typer.Option(metavar="M", help="Of occupancy: what is higher is passed under.")
+        float, typer.Option(metavar="M", help="For occupancy: higher points are no obstacles.")
     ] = 2.0,
     as_json: JSON = False,
 ) -> None:
-    """Write a map for other programs, all at the poses that it has in the map."""
+    """Export a map, at its optimised poses, to a file format of other programs."""
     from slam_bof.cli.console import print_json
-    from slam_bof.maps import OccupancyParams, export_map
+    from slam_bof.maps import OccupancyGridParams, export_map
     from slam_bof.store import MapStore
 
     if all_frames and format_ not in ("tum", "kitti"):
         raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
     if session is not None and format_ == "g2o":
-        raise ConfigError("--session: found with g2o, expected without: a graph is of all sessions")
+        raise ConfigError("--session: found with g2o, expected without: a graph has all sessions")
     if min_height >= max_height:
         raise ConfigError(f"--min-height: found {min_height}, expected below {max_height}")
-    plan = OccupancyParams(
+    plan = OccupancyGridParams(
         resolution_m=resolution, min_height_m=min_height, max_height_m=max_height
     )
     if format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):

@@ -1,20 +1,32 @@
-"""``slam-bof localize``: where in a saved map depth images were taken."""
+"""``slam-bof localize``: the poses of depth images in a saved map."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import FRAMES, JSON, MAP, QUIET
-from slam_bof.cli.query import map_file
-from slam_bof.cli.tables import parse_numbers, show_rows
+from slam_bof.cli.inputs import map_file, open_sequence
+from slam_bof.cli.options import (
+    DEPTH_SCALE,
+    EVERY,
+    FORMAT,
+    FRAMES,
+    INTRINSICS,
+    JSON,
+    MAP,
+    QUIET,
+    Format,
+    parse_numbers,
+)
+from slam_bof.cli.tables import show_rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slam_bof.maps import Located
+    from slam_bof.maps import LocalizedFrame
+    from slam_bof.ports import Dataset
     from slam_bof.types import DepthFrame, Intrinsics, Trajectory
 
 __all__ = ["localize"]
@@ -29,7 +41,7 @@ COLUMNS = (
     ("room", "room"),
     ("scene", "scene"),
     ("probability", "scene_probability"),
-    ("not known, for", "reason"),
+    ("why unknown", "reason"),
 )
 
 
@@ -39,52 +51,44 @@ def localize(
         Path,
         typer.Argument(metavar="SEQUENCE|IMAGE", help="A sequence, or a depth image (PNG, NPY)."),
     ],
-    every: Annotated[int, typer.Option(min=1, help="Only each so many frames.")] = 1,
+    every: EVERY = 1,
     frames: FRAMES = None,
     dataset: Annotated[
-        str, typer.Option(help="Layout of a SEQUENCE, as slam-bof plugins lists them.")
+        str, typer.Option(help="Layout of a SEQUENCE; by default it is recognised.")
     ] = "auto",
-    intrinsics: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FX FY CX CY",
-            help="Of an IMAGE: focal lengths and principal point (px); by default the map's.",
-        ),
-    ] = None,
-    depth_scale: Annotated[
-        float | None,
-        typer.Option(min=1.0, help="Of an IMAGE: units a metre; by default 1000 (mm)."),
-    ] = None,
-    format_: Annotated[
-        Literal["table", "json", "csv"], typer.Option("--format", help="How to print.")
-    ] = "table",
+    intrinsics: INTRINSICS = None,
+    depth_scale: DEPTH_SCALE = None,
+    format_: FORMAT = "table",
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
-    """Say where in a map depth images were taken, each by itself, or that it is not known.
+    """Localize depth images in a map, each by itself.
 
-    T_map_camera, the keyframe that matches, the room that it is in, and the scene that the image
-    shows. Of a sequence with true poses, the table also says how exact the answers are.
+    Prints T_map_camera, the matching keyframe, the label of the room it is in, and the scene label
+    of the image, or why the pose is unknown. For a sequence with true poses, the table ends with
+    the accuracy of the answers.
     """
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.datasets import is_image
     from slam_bof.maps import MapLocalizer
+    from slam_bof.slam import PluginChoice
 
-    form = "json" if as_json else format_
-    places = MapLocalizer.open(map_file(map_))
+    form: Format = "json" if as_json else format_
+    localizer = MapLocalizer.open(map_file(map_))
     if is_image(source) and not source.is_dir():
-        frame = _read(source, places.intrinsics, intrinsics, depth_scale)
-        row = _row(0, frame, places.localize(frame))
+        frame = _read(source, localizer.intrinsics, intrinsics, depth_scale)
+        row = _row(0, frame, localizer.localize(frame))
         if form == "json":
             print_json(row)
         else:
             show_rows([row], COLUMNS, form)
         return
-    sequence, truth = _open(source, dataset, frames)
+    sequence, _ = open_sequence(source, PluginChoice(name=dataset), frames, quiet=True)
+    truth = sequence.groundtruth()
     rows: list[dict[str, Any]] = []
     with Bar("Localizing", quiet=quiet or form != "table") as bar:
         for index, frame in _frames(sequence, every, rows):
-            rows.append(_row(index, frame, places.localize(frame)))
+            rows.append(_row(index, frame, localizer.localize(frame)))
             bar.show(index + 1, len(sequence))
     show_rows(rows, COLUMNS, form)
     if form == "table":
@@ -94,7 +98,7 @@ def localize(
 def _read(
     path: Path, camera: Intrinsics, intrinsics: str | None, depth_scale: float | None
 ) -> DepthFrame:
-    """Read a depth image; where nothing says which camera it is of, it is the map's."""
+    """Read a depth image; without other intrinsics it has the map's camera."""
     from slam_bof.datasets import read_depth_image
 
     given = [camera.fx, camera.fy, camera.cx, camera.cy]
@@ -105,21 +109,10 @@ def _read(
     return read_depth_image(path, intrinsics=given or None, depth_scale=depth_scale)[0]
 
 
-def _open(path: Path, dataset: str, frames: str | None) -> tuple[Any, Trajectory | None]:
-    """Open a sequence; return it and its true poses, if there are any."""
-    from slam_bof.core import registry
-    from slam_bof.datasets import Excerpt
-
-    sequence = registry.open_dataset(path, dataset)
-    if frames is not None:
-        sequence = Excerpt.parse(sequence, frames)
-    return sequence, sequence.groundtruth()
-
-
 def _frames(
-    sequence: Any, every: int, rows: list[dict[str, Any]]
+    sequence: Dataset, every: int, rows: list[dict[str, Any]]
 ) -> Iterator[tuple[int, DepthFrame]]:
-    """Yield the frames; of one that cannot be read, a row says so."""
+    """Yield the frames; for a frame that cannot be read, add a row that says so."""
     from slam_bof.errors import DatasetError
 
     for index in range(0, len(sequence), every):
@@ -129,11 +122,11 @@ def _frames(
             rows.append({"frame_index": index, "is_known": False, "reason": str(error)})
 
 
-def _row(index: int, frame: DepthFrame, located: Located) -> dict[str, Any]:
-    """Return what is known of a frame, flat but for its poses."""
+def _row(index: int, frame: DepthFrame, located: LocalizedFrame) -> dict[str, Any]:
+    """Return the answer for a frame as a row."""
     from slam_bof.geometry import se3
 
-    found, scene, T = located.found, located.scene, located.found.T_map_camera
+    found, scene, T = located.localization, located.scene, located.localization.T_map_camera
     return {
         "frame_index": index,
         "stamp_s": frame.stamp_s,
@@ -152,7 +145,7 @@ def _row(index: int, frame: DepthFrame, located: Located) -> dict[str, Any]:
 
 
 def _summarise(rows: list[dict[str, Any]], truth: Trajectory | None) -> None:
-    """Print how many frames are known and, by the true poses, how exactly."""
+    """Print how many frames were localized and, with true poses, how accurately."""
     import numpy as np
 
     from slam_bof.evaluation import pose_accuracy
@@ -171,6 +164,6 @@ def _summarise(rows: list[dict[str, Any]], truth: Trajectory | None) -> None:
         for (metres, degrees), share in accuracy.within.items()
     )
     typer.echo(
-        f"of these {shares} of the true poses; median {accuracy.median_m:.3f} m, "
-        f"{accuracy.median_deg:.2f} degrees (the map aligned as most answers have it)"
+        f"{shares} of the true poses; median error {accuracy.median_m:.3f} m, "
+        f"{accuracy.median_deg:.2f} degrees (after aligning the map with the true poses)"
     )

@@ -1,4 +1,4 @@
-"""Commands on saved maps: ``slam-bof map info``, ``check``, ``prune``, ``recover`` ..."""
+"""``slam-bof map``: commands that inspect and maintain saved maps."""
 
 from __future__ import annotations
 
@@ -7,25 +7,39 @@ from typing import Annotated
 
 import typer
 
+from slam_bof.cli.inputs import map_file
 from slam_bof.cli.options import JSON, MAP
-from slam_bof.cli.query import map_file
 from slam_bof.errors import ConfigError, MapError
 
 __all__ = ["app"]
 
-app = typer.Typer(no_args_is_help=True, help="Look after saved maps.")
+app = typer.Typer(no_args_is_help=True, help="Inspect and maintain saved maps.")
 
 MAX_LINES = 20
-NEW = Annotated[Path, typer.Option("--out", "-o", help="The new map to make.")]
+FACTS = {
+    "file": "File",
+    "n_keyframes": "Keyframes",
+    "n_loops": "Loops",
+    "n_covisibility_edges": "Covisibility edges",
+    "n_components": "Map components",
+    "n_rooms": "Rooms",
+    "bytes": "Size (bytes)",
+    "bytes_per_keyframe": "Bytes per keyframe",
+    "camera": "Camera",
+    "model": "Model",
+}
+SESSION_COLUMNS = ("session", "data set", "sequence", "frames", "keyframes", "finished")
+NEW = Annotated[Path, typer.Option("--out", "-o", help="The new map.db to write.")]
 
 
 @app.command()
 def info(map_: MAP, as_json: JSON = False) -> None:
-    """Say what a map is of, and how large it is."""
+    """Print the sessions, size and components of a map."""
     from dataclasses import asdict
 
     from slam_bof.cli.console import print_json, print_table
-    from slam_bof.store import MapStore, parts_of
+    from slam_bof.store import MapStore, components_of
+    from slam_bof.types import EdgeKind
 
     path = map_file(map_)
     with MapStore.open(path) as store:
@@ -47,9 +61,9 @@ def info(map_: MAP, as_json: JSON = False) -> None:
         facts = {
             "file": str(path),
             "n_keyframes": len(keyframes),
-            "n_loops": sum(loop.kind == "loop" for loop in loops),
-            "n_covisibility_edges": sum(loop.kind != "loop" for loop in loops),
-            "n_parts": len(set(parts_of(store).tolist())),
+            "n_loops": sum(loop.kind == EdgeKind.LOOP for loop in loops),
+            "n_covisibility_edges": sum(loop.kind != EdgeKind.LOOP for loop in loops),
+            "n_components": len(set(components_of(store).tolist())),
             "n_rooms": len(regions),
             "bytes": size,
             "bytes_per_keyframe": round(size / max(len(keyframes), 1)),
@@ -59,15 +73,15 @@ def info(map_: MAP, as_json: JSON = False) -> None:
     if as_json:
         print_json({**facts, "sessions": sessions})
         return
-    print_table(("", "value"), [(key, _text(value)) for key, value in facts.items()])
+    print_table(("property", "value"), [(FACTS[key], _text(facts[key])) for key in FACTS])
     if sessions:
         rows = [list(session.values()) for session in sessions]
-        print_table(list(sessions[0]), rows, title="Sessions")
+        print_table(SESSION_COLUMNS, rows, title="Sessions")
 
 
 @app.command()
 def check(map_: MAP, as_json: JSON = False) -> None:
-    """Check that a map is whole; name what is damaged, and exit with 1 if anything is."""
+    """Check a map for damage and list it; exit code 1 if there is any."""
     from slam_bof.cli.console import print_json
     from slam_bof.store import check_map
 
@@ -85,41 +99,43 @@ def check(map_: MAP, as_json: JSON = False) -> None:
         for damage in found[:MAX_LINES]:
             typer.echo(str(damage))
         if len(found) > MAX_LINES:
-            typer.echo(f"and {len(found) - MAX_LINES} more; --json has them all")
+            typer.echo(f"and {len(found) - MAX_LINES} more; --json prints all")
     if found:
         raise MapError(
             f"{path}: found damage in {len(found)} place{'s' if len(found) > 1 else ''}; "
-            "slam-bof map recover saves what is whole into a new map"
+            "slam-bof map recover copies the intact rows into a new map"
         )
     if not as_json:
-        typer.echo(f"{path}: whole")
+        typer.echo(f"{path}: intact")
 
 
 @app.command()
 def prune(
     map_: MAP,
     distance: Annotated[
-        float, typer.Option(min=0.0, metavar="M", help="Drop a keyframe nearer to an older one")
+        float,
+        typer.Option(min=0.0, metavar="M", help="Drop keyframes this close to an older one"),
     ] = 0.2,
     angle: Annotated[
-        float, typer.Option(min=0.0, metavar="RAD", help="and turned from it by less.")
+        float,
+        typer.Option(min=0.0, metavar="RAD", help="and rotated from it by less than this."),
     ] = 0.2,
     session: Annotated[
         int | None, typer.Option(min=0, help="Drop the keyframes of this session instead.")
     ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say how many.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Only print how many.")] = False,
     as_json: JSON = False,
 ) -> None:
-    """Drop keyframes that stand where an older one does, or a whole session.
+    """Drop keyframes close to an older one, or those of a whole session.
 
-    The others stay where they are in the map.
+    The poses of the other keyframes do not change.
     """
     from slam_bof.cli.console import print_json
-    from slam_bof.store import MapStore, prune_map, redundant
+    from slam_bof.store import MapStore, find_redundant_keyframes, prune_map
 
     def choose(store: MapStore) -> list[int]:
         if session is None:
-            return redundant(store, distance_m=distance, angle_rad=angle)
+            return find_redundant_keyframes(store, distance_m=distance, angle_rad=angle)
         if session >= (n := len(store.sessions())):
             raise ConfigError(f"--session: found {session}, expected below {n}")
         return [k.id for k in store.keyframes() if k.session == session]
@@ -143,7 +159,7 @@ def prune(
 
 @app.command()
 def recover(map_: MAP, out: NEW, as_json: JSON = False) -> None:
-    """Save what is whole of a damaged map into a new one."""
+    """Copy the intact rows of a damaged map into a new one."""
     from slam_bof.cli.console import print_json
     from slam_bof.store import recover_map
 
@@ -162,7 +178,7 @@ def merge(
     out: NEW,
     as_json: JSON = False,
 ) -> None:
-    """Join maps into a new one, by what is recognised of each in those before."""
+    """Merge maps into a new one: their keyframes are matched, and loops join them."""
     from slam_bof.cli.console import print_json
     from slam_bof.maps import merge_maps
 
@@ -174,14 +190,14 @@ def merge(
         return
     typer.echo(
         f"{out}: {found.n_sessions} sessions, {found.n_keyframes} keyframes, "
-        f"{found.n_loops_across} loops across, {found.n_parts} "
-        f"part{'s' if found.n_parts > 1 else ''}"
+        f"{found.n_loops_across} loops between maps, {found.n_components} "
+        f"component{'s' if found.n_components > 1 else ''}"
     )
 
 
 @app.command()
 def vacuum(map_: MAP, as_json: JSON = False) -> None:
-    """Give the room of what was deleted back to the disk."""
+    """Rebuild the file of a map without the space of deleted rows."""
     from slam_bof.cli.console import print_json
     from slam_bof.store import MapStore
 

@@ -1,13 +1,35 @@
-"""Options that several commands share."""
+"""Options that several commands share, and options of several numbers."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
 
-__all__ = ["FRAMES", "JSON", "MAP", "OUT", "QUIET", "SET"]
+from slam_bof.errors import ConfigError
+
+__all__ = [
+    "DEPTH_SCALE",
+    "EVERY",
+    "FORMAT",
+    "FRAMES",
+    "INTRINSICS",
+    "JSON",
+    "MAP",
+    "MAX_FRAMES",
+    "N_WORDS",
+    "OUT",
+    "QUIET",
+    "SEED",
+    "SET",
+    "Format",
+    "NumbersCommand",
+    "parse_numbers",
+]
+
+Format = Literal["table", "json", "csv"]
 
 JSON = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
@@ -15,9 +37,68 @@ SET = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="Set a parameter, such as loops.top_k=3."),
 ]
-OUT = Annotated[Path, typer.Option("--out", "-o", help="Where runs get their folders.")]
+OUT = Annotated[
+    Path, typer.Option("--out", "-o", help="Folder in which the run's folder is created.")
+]
 FRAMES = Annotated[
     str | None,
-    typer.Option(metavar="A:B", help="Only the frames from A up to B, as 400:1000; not B."),
+    typer.Option(metavar="A:B", help="Use only the frames from A up to, not including, B."),
 ]
+MAX_FRAMES = Annotated[int | None, typer.Option(min=1, help="Stop after this many frames.")]
+EVERY = Annotated[int, typer.Option(min=1, help="Use every n-th frame.")]
 MAP = Annotated[Path, typer.Argument(metavar="MAP", help="A map.db, or the folder of a run.")]
+SEED = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+N_WORDS = Annotated[int, typer.Option("--words", min=2, help="Words in each vocabulary.")]
+FORMAT = Annotated[Format, typer.Option("--format", help="How to print the answer.")]
+INTRINSICS = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FX FY CX CY",
+        help="For an IMAGE: focal lengths and principal point in pixels. By default those in "
+        "intrinsics.json beside the image; without that file, localize takes the map's camera, "
+        "query a Kinect's.",
+    ),
+]
+DEPTH_SCALE = Annotated[
+    float | None,
+    typer.Option(min=1.0, help="For an IMAGE: depth units per metre. By default 1000 (mm)."),
+]
+
+N_NUMBERS = {"--near": 3, "--intrinsics": 4}
+"""Options of several numbers, which may be separated by commas or by spaces."""
+
+
+class NumbersCommand(TyperCommand):
+    """A command whose options of several numbers may be given as ``--near 1 0 2``."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Join the numbers of one option by commas."""
+        joined: list[str] = []
+        rest = list(args)
+        while rest:
+            word = rest.pop(0)
+            joined.append(word)
+            if word in N_NUMBERS and rest:
+                numbers = [rest.pop(0)]
+                while rest and len(numbers) < N_NUMBERS[word] and _is_number(rest[0]):
+                    numbers.append(rest.pop(0))
+                joined.append(",".join(numbers))
+        parsed: list[str] = super().parse_args(ctx, joined)
+        return parsed
+
+
+def parse_numbers(option: str, text: str, expected: str) -> list[float]:
+    """Return the numbers of an option; ``ConfigError`` says what was expected."""
+    words = text.replace(",", " ").split()
+    values = [float(word) for word in words if _is_number(word)]
+    if len(values) != N_NUMBERS[option] or len(words) != N_NUMBERS[option]:
+        raise ConfigError(f"{option}: found {text!r}, expected {expected}")
+    return values
+
+
+def _is_number(word: str) -> bool:
+    try:
+        value = float(word)
+    except ValueError:
+        return False
+    return value - value == 0.0

@@ -1,21 +1,26 @@
-"""``slam-bof query``: what a saved map says, or a model of a single depth image."""
+"""``slam-bof query``: keyframes, rooms and loops of a saved map; the label of a depth image."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from slam_bof.cli.options import JSON
-from slam_bof.cli.tables import parse_numbers, show_rows
+from slam_bof.cli.inputs import map_file
+from slam_bof.cli.options import (
+    DEPTH_SCALE,
+    FORMAT,
+    INTRINSICS,
+    JSON,
+    Format,
+    parse_numbers,
+)
+from slam_bof.cli.tables import show_rows
 from slam_bof.errors import ConfigError
 
-if TYPE_CHECKING:
-    pass
-
-__all__ = ["map_file", "query"]
+__all__ = ["query"]
 
 KEYFRAMES = (
     ("keyframe", "id"),
@@ -23,9 +28,9 @@ KEYFRAMES = (
     ("time s", "stamp_s"),
     ("scene", "label"),
     ("probability", "label_probability"),
-    ("by itself", "scene"),
+    ("scene of image", "scene"),
     ("probability", "scene_probability"),
-    ("region", "region"),
+    ("room", "region"),
     ("x m", "translation_m_0"),
     ("y m", "translation_m_1"),
     ("z m", "translation_m_2"),
@@ -38,17 +43,17 @@ LOOPS = (
     ("match time s", "match_stamp_s"),
     ("found by", "source"),
 )
-REGIONS = (
-    ("region", "id"),
+ROOMS = (
+    ("room", "id"),
     ("scene", "label"),
     ("probability", "probability"),
     ("keyframes", "n_keyframes"),
     ("x m", "center_m_0"),
     ("y m", "center_m_1"),
     ("z m", "center_m_2"),
-    ("wide m", "size_m_0"),
-    ("high m", "size_m_1"),
-    ("deep m", "size_m_2"),
+    ("size x m", "size_m_0"),
+    ("size y m", "size_m_1"),
+    ("size z m", "size_m_2"),
 )
 
 
@@ -62,61 +67,52 @@ def query(
     ],
     keyframe: Annotated[int | None, typer.Option(min=0, help="Only this keyframe.")] = None,
     time: Annotated[
-        float | None, typer.Option(metavar="S", help="Nearest to this time (s) first.")
+        float | None, typer.Option(metavar="S", help="Order by time difference to S.")
     ] = None,
     near: Annotated[
         str | None,
-        typer.Option(metavar="X Y Z", help="Nearest to this position (m, map frame) first."),
+        typer.Option(metavar="X Y Z", help="Order by distance to this position (m, map frame)."),
     ] = None,
     scene: Annotated[
         str | None,
-        typer.Option(help="Only with this scene label; the table also says where such rooms are."),
+        typer.Option(help="Only keyframes with this label; rooms with it are printed too."),
     ] = None,
     min_probability: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Only with a label at least this probable.")
+        float,
+        typer.Option(min=0.0, max=1.0, help="Only labels at least this probable."),
     ] = 0.0,
     labels: Annotated[
         Literal["smoothed", "raw"],
-        typer.Option(help="Labels by the whole trajectory, or of each keyframe by itself."),
+        typer.Option(help="Labels smoothed over neighbours, or those of single images."),
     ] = "smoothed",
-    limit: Annotated[int | None, typer.Option(min=1, help="At most so many.")] = None,
-    regions: Annotated[bool, typer.Option("--regions", help="Rooms instead of keyframes.")] = False,
-    loops: Annotated[bool, typer.Option("--loops", help="Loops instead of keyframes.")] = False,
+    limit: Annotated[int | None, typer.Option(min=1, help="Print at most this many.")] = None,
+    rooms: Annotated[
+        bool, typer.Option("--rooms", "--regions", help="Print rooms instead.")
+    ] = False,
+    loops: Annotated[bool, typer.Option("--loops", help="Print loops instead.")] = False,
     model: Annotated[
-        str | None, typer.Option(help="Of an IMAGE: the model file, or default.")
+        str | None, typer.Option(help="For an IMAGE: the model file, or default.")
     ] = None,
-    intrinsics: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FX FY CX CY",
-            help="Of an IMAGE: focal lengths and principal point (px); by default those of "
-            "intrinsics.json beside it, or else a Kinect's, which is said.",
-        ),
-    ] = None,
-    depth_scale: Annotated[
-        float | None,
-        typer.Option(min=1.0, help="Of an IMAGE: units a metre; by default 1000 (mm)."),
-    ] = None,
-    format_: Annotated[
-        Literal["table", "json", "csv"], typer.Option("--format", help="How to print.")
-    ] = "table",
+    intrinsics: INTRINSICS = None,
+    depth_scale: DEPTH_SCALE = None,
+    format_: FORMAT = "table",
     as_json: JSON = False,
 ) -> None:
-    """Ask a saved map where its keyframes and rooms are, what they show, which loops there are.
+    """Print keyframes, rooms or loops of a saved map, with poses and scene labels.
 
-    Of a depth image by itself, a model says which scene it shows.
+    For a single depth image, print the scene label that a model gives it.
     """
     from slam_bof.datasets import is_image
 
-    form = "json" if as_json else format_
+    form: Format = "json" if as_json else format_
     if is_image(path) and not path.is_dir():
-        asked = {"--time": time, "--keyframe": keyframe, "--near": near, "--scene": scene}
-        _refuse([name for name, value in asked.items() if value is not None], "a map")
-        _ask_image(path, model or "default", intrinsics, depth_scale, min_probability, form)
+        of_map = {"--time": time, "--keyframe": keyframe, "--near": near, "--scene": scene}
+        _refuse([name for name, value in of_map.items() if value is not None], "a map")
+        _label_image(path, model or "default", intrinsics, depth_scale, min_probability, form)
         return
     of_image = {"--model": model, "--intrinsics": intrinsics, "--depth-scale": depth_scale}
     _refuse([name for name, value in of_image.items() if value is not None], "a depth image")
-    from slam_bof.store import MapStore, query_keyframes, query_loops, query_regions
+    from slam_bof.store import MapStore, query_keyframes, query_loops, query_rooms
 
     with MapStore.open(map_file(path)) as store:
         if loops:
@@ -124,9 +120,9 @@ def query(
                 [asdict(r) for r in query_loops(store, keyframe_id=keyframe)[:limit]], LOOPS, form
             )
             return
-        if regions:
-            found = query_regions(store, scene=scene, min_probability=min_probability)
-            show_rows([_region(region) for region in found[:limit]], REGIONS, form)
+        if rooms:
+            found = query_rooms(store, scene=scene, min_probability=min_probability)
+            show_rows([_room(room) for room in found[:limit]], ROOMS, form)
             return
         records = query_keyframes(
             store,
@@ -139,27 +135,23 @@ def query(
             limit=limit,
         )
         if scene is not None and form == "table":
-            rooms = [_region(r) for r in query_regions(store, scene=scene)]
-            show_rows(rooms, REGIONS, form, "Rooms, by where the camera was in them")
+            with_scene = [_room(r) for r in query_rooms(store, scene=scene)]
+            show_rows(with_scene, ROOMS, form, "Rooms (extent of the camera positions)")
     rows = [asdict(record) for record in records]
     if form == "table":
         rows = [{**row, **_label(row)} for row in rows]
     show_rows(rows, KEYFRAMES, form)
 
 
-def map_file(path: Path) -> Path:
-    """Return the map.db that was meant."""
-    return path / "map.db" if path.is_dir() else path
-
-
-def _ask_image(
+def _label_image(
     path: Path,
     model: str,
     intrinsics: str | None,
     depth_scale: float | None,
     min_probability: float,
-    form: str,
+    form: Format,
 ) -> None:
+    from slam_bof.cli.console import print_json
     from slam_bof.scenes import label_image, model as models
 
     numbers = None
@@ -167,13 +159,13 @@ def _ask_image(
         numbers = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
     answer = label_image(
         path,
-        models.load_default() if model == "default" else models.load(model),
+        models.resolve(model),
         intrinsics=numbers,
         depth_scale=depth_scale,
         min_probability=min_probability,
     )
     if form == "json":
-        show_rows([asdict(answer)], (), "json", single=True)
+        print_json(asdict(answer))
         return
     if form == "table":
         camera = answer.intrinsics
@@ -187,15 +179,14 @@ def _ask_image(
 
 
 def _label(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the smoothed label of a keyframe; of one without, its own."""
+    """Return the smoothed label of a keyframe; where there is none, that of its image."""
     name = "scene" if row["smoothed"] is None else "smoothed"
     return {"label": row[name], "label_probability": row[f"{name}_probability"]}
 
 
-def _region(region: Any) -> dict[str, Any]:
-    size_m = tuple(b - a for a, b in zip(region.low_m, region.high_m, strict=True))
-    ids = region.keyframe_ids
-    return {**asdict(region), "size_m": size_m, "n_keyframes": len(ids)}
+def _room(room: Any) -> dict[str, Any]:
+    size_m = tuple(b - a for a, b in zip(room.low_m, room.high_m, strict=True))
+    return {**asdict(room), "size_m": size_m, "n_keyframes": len(room.keyframe_ids)}
 
 
 def _refuse(options: list[str], what: str) -> None:

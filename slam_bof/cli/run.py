@@ -1,31 +1,38 @@
-"""Commands that compute: ``run`` and ``demo``."""
+"""``slam-bof run``: the mini-SLAM over a sequence, new or resumed."""
 
 from __future__ import annotations
 
-import os
+import shlex
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import FRAMES, JSON, OUT, QUIET, SET
-from slam_bof.cli.query import map_file
+from slam_bof.cli.inputs import map_file, open_sequence
+from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
+from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
+    from slam_bof.cli.console import FrameBar
     from slam_bof.ports import Dataset
     from slam_bof.run import RunResult
     from slam_bof.slam import Config
 
-__all__ = ["demo", "open_sequence", "run"]
+__all__ = ["run", "run_new"]
+
+INTERRUPTED = 130
+"""Exit code of a program that SIGINT has ended, by the convention of shells."""
 
 SUMMARY = (
-    ("ATE of odometry", "ate_odometry_m", "m"),
-    ("ATE after loops", "ate_m", "m"),
-    ("Times that odometry was lost", "n_odometry_lost", ""),
-    ("Parts of the map", "n_parts", ""),
+    ("ATE of odometry alone", "ate_odometry_m", "m"),
+    ("ATE with loops", "ate_m", "m"),
+    ("Losses of odometry", "n_odometry_lost", ""),
+    ("Map components", "n_components", ""),
     ("Loops accepted", "n_loops", ""),
-    ("Loops that are right", "loop_precision", "share"),
-    ("Scene labels that are right", "scene_accuracy", "share"),
+    ("Correct loops", "loop_precision", "share"),
+    ("Correct scene labels (single image)", "scene_accuracy", "share"),
     ("Frames", "n_frames", ""),
     ("Keyframes", "n_keyframes", ""),
     ("Speed", "fps", "frames/s"),
@@ -35,47 +42,48 @@ SUMMARY = (
 
 def run(
     sequence: Annotated[
-        Path, typer.Argument(help="Folder of a sequence of depth frames, or a .bag or .sens file.")
+        Path,
+        typer.Argument(help="Folder of a sequence of depth images, or a .bag or .sens file."),
     ],
     out: OUT = Path("runs"),
     config: Annotated[
-        str, typer.Option("--config", "-c", metavar="PRESET|FILE", help="Parameters.")
+        str, typer.Option("--config", "-c", metavar="PRESET|FILE", help="Configuration.")
     ] = "indoor",
     assignments: SET = None,
     dataset: Annotated[
         str | None,
         typer.Option(
-            help="Layout of the folder, as slam-bof plugins lists them; auto looks at it. "
-            "Its options: --set dataset.options.KEY=VALUE."
+            help="Layout of the sequence, a name that slam-bof plugins lists; by default it is "
+            "recognised. Set its options with --set dataset.options.KEY=VALUE."
         ),
     ] = None,
     model: Annotated[str | None, typer.Option(help="Model file, or default.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Of all that is random.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.")] = None,
     frames: FRAMES = None,
-    max_frames: Annotated[int | None, typer.Option(min=1, help="Stop after so many.")] = None,
+    max_frames: MAX_FRAMES = None,
     map_: Annotated[
         Path | None,
         typer.Option(
             "--map",
             metavar="MAP",
-            help="Join the sequence to this map, as another session; made if there is none.",
+            help="Add the sequence to this map as another session; it is created if missing.",
         ),
     ] = None,
     resume: Annotated[
         Path | None,
         typer.Option(
             metavar="MAP",
-            help="Go on with an interrupted run, after the last keyframe in its map.db or folder.",
+            help="Resume the interrupted run of this map.db or folder after its last keyframe.",
         ),
     ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
-    """Run the mini-SLAM over a sequence: trajectory, loops, labels and map into a new folder."""
+    """Run the mini-SLAM over a sequence; write trajectory, loops, labels and map to a folder."""
     from slam_bof.slam import config as configs
 
     if resume is not None:
-        given_too = {
+        given = {
             "--map": map_ is not None,
             "--config": config != "indoor",
             "--set": bool(assignments),
@@ -83,126 +91,115 @@ def run(
             "--model": model is not None,
             "--seed": seed is not None,
         }
-        result = _resume(
-            sequence, resume, out, given_too, frames=frames, max_frames=max_frames, quiet=quiet
+        wrong = [option for option, is_given in given.items() if is_given]
+        if wrong:
+            raise ConfigError(
+                f"{', '.join(wrong)}: found with --resume, expected without: a resumed run keeps "
+                "its configuration"
+            )
+        _resume(
+            sequence,
+            map_file(resume),
+            out,
+            frames=frames,
+            max_frames=max_frames,
+            quiet=quiet,
+            as_json=as_json,
         )
-        _show(result, as_json=as_json)
         return
     chosen = configs.override(configs.resolve(config), assignments or [])
-    given: dict[str, Any] = {"model": model, "seed": seed}
+    values: dict[str, Any] = {"model": model, "seed": seed}
     if dataset is not None:
-        given["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
-    chosen = chosen.model_copy(update={k: v for k, v in given.items() if v is not None})
-    place = None if map_ is None else map_file(map_)
-    result = _run(
-        sequence, chosen, out, frames=frames, max_frames=max_frames, quiet=quiet, place=place
+        values["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
+    run_new(
+        sequence,
+        chosen.model_copy(update={k: v for k, v in values.items() if v is not None}),
+        out,
+        frames=frames,
+        max_frames=max_frames,
+        map_=None if map_ is None else map_file(map_),
+        quiet=quiet,
+        as_json=as_json,
     )
-    _show(result, as_json=as_json)
 
 
-def demo(
-    out: OUT = Path("runs"),
-    seed: Annotated[int, typer.Option(min=0, help="Of the flat, the tour and the run.")] = 0,
-    max_frames: Annotated[int | None, typer.Option(min=1, help="Stop after so many.")] = None,
-    as_json: JSON = False,
-    quiet: QUIET = False,
-) -> None:
-    """Walk through a synthetic flat, made once and kept, and show what loops do for the map."""
-    from slam_bof import synthetic
-    from slam_bof.cli.console import Bar
-    from slam_bof.slam import config as configs
-
-    # A shortened tour gets a place of its own, so as not to take that of the whole one.
-    folder = _cache() / (f"seed-{seed}" + (f"-first-{max_frames}" if max_frames else ""))
-    with Bar("Making a flat", quiet=quiet) as bar:
-        sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
-    config = configs.preset("indoor").model_copy(update={"seed": seed})
-    result = _run(sequence, config, out, max_frames=max_frames, quiet=quiet)
-    _show(result, as_json=as_json)
-
-
-def _run(
+def run_new(
     sequence: Path,
     config: Config,
     out: Path,
     *,
-    max_frames: int | None,
-    quiet: bool,
     frames: str | None = None,
-    place: Path | None = None,
-) -> RunResult:
-    from slam_bof.cli.console import FrameBar
+    max_frames: int | None,
+    map_: Path | None = None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Run a sequence in a new folder and print the result."""
     from slam_bof.run import run_sequence
 
-    dataset, remarks = open_sequence(sequence, config, frames, quiet=quiet)
-    with FrameBar(dataset.sequence, quiet=quiet) as observer:
-        return run_sequence(
+    dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
+    with _observer(sequence, dataset, frames, quiet=quiet) as observer:
+        result = run_sequence(
             dataset,
             config,
             out,
-            map_file=place,
+            map_file=map_,
             observer=observer,
             max_frames=max_frames,
             remarks=remarks,
         )
+    _show(result, as_json=as_json)
 
 
 def _resume(
     sequence: Path,
     map_: Path,
     out: Path,
-    given_too: dict[str, bool],
     *,
     frames: str | None,
     max_frames: int | None,
     quiet: bool,
-) -> RunResult:
-    from slam_bof.cli.console import FrameBar
-    from slam_bof.errors import ConfigError, MapError
+    as_json: bool,
+) -> None:
+    """Resume the last run of a map and print the result."""
+    from slam_bof.errors import MapError
     from slam_bof.run import resume_sequence
     from slam_bof.slam import config as configs
     from slam_bof.store import MapStore
 
-    wrong = [option for option, is_given in given_too.items() if is_given]
-    if wrong:
-        raise ConfigError(
-            f"{', '.join(wrong)}: found with --resume, expected without: a run goes on as it began"
-        )
-    place = map_file(map_)
-    with MapStore.open(place) as store:
+    with MapStore.open(map_) as store:
         sessions = store.sessions()
     if not sessions:
-        raise MapError(f"{place}: found no session in it, expected an interrupted run")
-    config = configs.parse(sessions[-1].config, str(place))
-    dataset, remarks = open_sequence(sequence, config, frames, quiet=quiet)
-    with FrameBar(dataset.sequence, quiet=quiet) as observer:
-        return resume_sequence(
-            dataset, place, out, observer=observer, max_frames=max_frames, remarks=remarks
+        raise MapError(f"{map_}: found no session in it, expected an interrupted run")
+    config = configs.parse_saved(sessions[-1].config, str(map_))
+    dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
+    with _observer(sequence, dataset, frames, quiet=quiet) as observer:
+        result = resume_sequence(
+            dataset, map_, out, observer=observer, max_frames=max_frames, remarks=remarks
         )
+    _show(result, as_json=as_json)
 
 
-def open_sequence(
-    sequence: Path, config: Config, frames: str | None, *, quiet: bool
-) -> tuple[Dataset, list[str]]:
-    """Open the data set; return it and what there is to say of how it was recognised."""
-    from slam_bof.core import registry
-    from slam_bof.datasets import Excerpt
-    from slam_bof.errors import DatasetError
-    from slam_bof.ports import LabelledImages
+@contextmanager
+def _observer(
+    sequence: Path, dataset: Dataset, frames: str | None, *, quiet: bool
+) -> Iterator[FrameBar]:
+    """Show a run as a progress bar; if it is interrupted, print how to resume it and exit."""
+    from slam_bof.cli.console import FrameBar
+    from slam_bof.run import RunInterrupted
 
-    name, remarks = config.dataset.name, []
-    if name == "auto":
-        found = registry.recognise_dataset(sequence)
-        name, remarks = found.name, [f"{sequence}: {found}"]
-        if not quiet:
-            typer.echo(remarks[0], err=True)
-    dataset = registry.open_dataset(sequence, name, config.dataset.options)
-    if isinstance(dataset, LabelledImages):
-        raise DatasetError(
-            f"{sequence}: found single images of {name}, expected a sequence; "
-            "they are for training and judging scene labels"
+    try:
+        with FrameBar(dataset.sequence, quiet=quiet) as observer:
+            yield observer
+    except RunInterrupted as interruption:
+        words = ["slam-bof", "run", str(sequence), "--resume", str(interruption.folder)]
+        if frames is not None:
+            words += ["--frames", frames]
+        typer.echo(
+            f"interrupted after {interruption.n_frames} frames; go on with: {shlex.join(words)}",
+            err=True,
         )
-    return (dataset if frames is None else Excerpt.parse(dataset, frames)), remarks
+        raise typer.Exit(INTERRUPTED) from None
 
 
 def _show(result: RunResult, *, as_json: bool) -> None:
@@ -212,12 +209,6 @@ def _show(result: RunResult, *, as_json: bool) -> None:
         print_json({"folder": str(result.folder), **result.metrics})
         return
     rows = [(what, result.metrics.get(key), unit) for what, key, unit in SUMMARY]
-    print_table(("", "value", "unit"), rows, title=str(result.metrics["sequence"]))
+    print_table(("metric", "value", "unit"), rows, title=str(result.metrics["sequence"]))
     typer.echo(f"Files: {result.folder}")
     typer.echo(f"Report: {result.folder / 'report.html'}")
-
-
-def _cache() -> Path:
-    """Return the folder for what can be made again."""
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "slam_bof"

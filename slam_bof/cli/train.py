@@ -1,4 +1,4 @@
-"""``slam-bof train``: labelled frames to a model file."""
+"""``slam-bof train``: a model file from labelled depth frames."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slam_bof.cli.options import JSON, QUIET
+from slam_bof.cli.options import EVERY, JSON, N_WORDS, QUIET, SEED
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
-    from slam_bof.evaluation import TrainedScenes
+    from slam_bof.evaluation import TrainedSceneModel
 
 __all__ = ["train"]
 
@@ -25,44 +25,44 @@ def train(
         list[str] | None,
         typer.Option(
             metavar="NAME=PATH",
-            help="A class and where it is seen: a sequence, a folder of sequences (seq-XX), or a "
-            "folder of depth images with intrinsics.json. Several times, also of one class.",
+            help="A class and its data: a sequence, a folder of sequences (seq-XX), or a folder "
+            "of depth images with intrinsics.json. May be given several times, also for one class.",
         ),
     ] = None,
     csv: Annotated[
         Path | None,
         typer.Option(
-            help="CSV with rows path,label: sequences or depth images, relative to the file."
+            help="CSV file with rows path,label; sequences or depth images, relative to the file."
         ),
     ] = None,
     descriptor: Annotated[
         str | None,
         typer.Option(
             metavar="levelled|bof",
-            help="What labels go by: levelled views, the default, or bof: bags of words, the "
-            "paper's way, and the default with --classifier or --grid-search.",
+            help="Features of the classifier: levelled views, the default, or bof, the bags of "
+            "words of the paper, the default with --classifier or --grid-search.",
         ),
     ] = None,
     layers: Annotated[
-        int | None, typer.Option(min=1, help="Into which a frame's cloud is cut; by default 20.")
+        int | None, typer.Option(min=1, help="Layers of a frame's point cloud; by default 20.")
     ] = None,
-    n_words: Annotated[int, typer.Option("--words", min=2, help="Of the vocabulary.")] = 1024,
+    n_words: N_WORDS = 1024,
     classifier: Annotated[
         Classifier | None,
         typer.Option(
-            help="Of bags of words; by default svm-linear. mlp is a neural network on bags; one on "
-            "the BOF of each layer is compared by evaluate scenes --methods bof-layers:mlp."
+            help="Classifier of bags of words; by default svm-linear. mlp is a neural network on "
+            "bags; evaluate scenes --methods bof-layers:mlp tests one on the BOF of each layer."
         ),
     ] = None,
     grid_search: Annotated[
         bool,
         typer.Option(
             "--grid-search",
-            help="Choose a linear or Gaussian support vector machine on bags of words, and its "
-            "C and gamma, by cross-validation.",
+            help="Choose between a linear and a Gaussian support vector machine on bags of words, "
+            "and C and gamma, by cross-validation.",
         ),
     ] = False,
-    every: Annotated[int, typer.Option(min=1, help="Take each so many frames.")] = 1,
+    every: EVERY = 1,
     check: Annotated[
         bool,
         typer.Option(
@@ -70,13 +70,14 @@ def train(
             help="First train on 60 % of each sequence and test on its end, after a gap.",
         ),
     ] = True,
-    seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
+    seed: SEED = 0,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
     """Train a model on labelled depth frames: vocabulary, idf and scene classifier in one file.
 
-    The figures printed are of frames held out, by a model trained like it on the others.
+    The accuracy printed is that of a model trained in the same way on a part of the frames and
+    tested on the others.
     """
     if descriptor not in (None, "levelled", "bof"):
         raise ConfigError(
@@ -96,7 +97,7 @@ def train(
     from slam_bof.bof import LayerParams, PlaceParams
     from slam_bof.cli.console import Bars
     from slam_bof.datasets import frames_of, open_labelled, parse_label, read_label_file
-    from slam_bof.evaluation import train_scenes
+    from slam_bof.evaluation import train_scene_model
     from slam_bof.scenes import model as models
 
     _check_out(out)
@@ -108,7 +109,7 @@ def train(
         params = PlaceParams(layers=LayerParams(n_layers=layers))
     names = sorted({f"{s.dataset.sequence} ({s.label})" for s in sequences})
     with Bars(quiet=quiet) as bars:
-        trained = train_scenes(
+        trained = train_scene_model(
             frames_of(sequences, every=every),
             params,
             trained_on=", ".join(names),
@@ -125,7 +126,7 @@ def train(
 
 
 def _check_out(out: Path) -> None:
-    """Refuse, before the work, a place that cannot be written."""
+    """Refuse a file that cannot be written, before training starts."""
     if out.is_dir():
         raise ConfigError(f"{out}: found a folder, expected the name of a file to write")
     out.parent.mkdir(parents=True, exist_ok=True)
@@ -133,16 +134,16 @@ def _check_out(out: Path) -> None:
     out.with_name(out.name + ".part").unlink()
 
 
-def _show(trained: TrainedScenes, out: Path, *, as_json: bool) -> None:
+def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
     from slam_bof.cli.console import print_json, print_table
 
-    scores, found = trained.scores, trained.found
+    scores, svm = trained.scores, trained.svm_params
     figures: dict[str, Any] = {
         "model": str(out),
         "content_sha256": trained.model.content_hash,
         "n_bytes": out.stat().st_size,
         "trained_on": trained.model.trained_on,
-        "grid_search": asdict(found) if found else None,
+        "grid_search": asdict(svm) if svm else None,
         "n_checked": trained.n_checked,
     }
     if scores is not None:
@@ -157,20 +158,21 @@ def _show(trained: TrainedScenes, out: Path, *, as_json: bool) -> None:
     if as_json:
         print_json(figures)
         return
-    if found is not None:
-        gamma = "" if found.gamma == "scale" else f", gamma {found.gamma:g}"
+    if svm is not None:
+        gamma = "" if svm.gamma == "scale" else f", gamma {svm.gamma:g}"
         typer.echo(
-            f"Grid search: {found.name}, C {found.C:g}{gamma}; "
-            f"{found.accuracy:.3f} right in cross-validation."
+            f"Grid search: {svm.name}, C {svm.C:g}{gamma}; "
+            f"accuracy {svm.accuracy:.3f} in cross-validation."
         )
     if scores is not None:
         print_table(
             ("class", "tested", "precision", "recall", "F1"),
             [(c.label, c.n_frames, c.precision, c.recall, c.f1) for c in scores.by_class],
-            title=f"Held out: the end of each sequence, {trained.n_checked} frames",
+            title=f"Test frames: the end of each sequence, {trained.n_checked} frames",
         )
         typer.echo(
-            f"Accuracy {scores.accuracy:.3f}, mean of classes {scores.mean_class_accuracy:.3f}, "
+            f"Accuracy {scores.accuracy:.3f}, "
+            f"mean-class accuracy {scores.mean_class_accuracy:.3f}, "
             f"expected calibration error {scores.calibration_error:.3f}."
         )
     typer.echo(

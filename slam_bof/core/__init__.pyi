@@ -1,7 +1,7 @@
 from . import registry as registry
 from .arrays import (
-    Stack as Stack,
-    scratch_image as scratch_image,
+    GrowingArray as GrowingArray,
+    thread_buffer as thread_buffer,
 )
 from .native_libraries import (
     import_open3d as import_open3d,

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["Stack", "scratch_image"]
+__all__ = ["GrowingArray", "thread_buffer"]
 
 
-class Stack:
+class GrowingArray:
     """Rows of one shape and type, in one block of memory that grows by an eighth.
 
     That wastes little and still copies seldom.
 
-    >>> stack = Stack((2,), np.int32)
+    >>> stack = GrowingArray((2,), np.int32)
     >>> stack.append([1, 2])
     >>> stack.append([3, 4])
     >>> stack.rows.tolist()
@@ -51,6 +51,16 @@ class Stack:
         self._block[self._n] = row
         self._n += 1
 
+    def extend(self, rows: NDArray[Any]) -> None:
+        """Add rows (m, *shape)."""
+        n = self._n + len(rows)
+        if n > len(self._block):
+            room = np.empty((n + n // 8, *self._block.shape[1:]), self._block.dtype)
+            room[: self._n] = self.rows
+            self._block = room
+        self._block[self._n : n] = rows
+        self._n = n
+
     def truncate(self, n: int) -> None:
         """Drop all rows but the first ``n``."""
         self._n = min(n, self._n)
@@ -64,7 +74,7 @@ class _Arrays(threading.local):
 _arrays = _Arrays()
 
 
-def scratch_image(name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
+def thread_buffer(name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
     """Return an array of 8 bits, with whatever the last user of that name has left in it.
 
     It is the caller's until the same thread asks for the name again.

@@ -21,7 +21,7 @@ from pydantic import ValidationError
 
 from slam_bof.core.validation import describe_error
 from slam_bof.errors import ConfigError, DatasetError, PluginError
-from slam_bof.ports import Dataset
+from slam_bof.ports import Dataset, DatasetFormat
 from slam_bof.types import Params
 
 __all__ = [
@@ -242,7 +242,7 @@ def _recognisers(path: Path) -> tuple[list[Recognition], list[str]]:
     found, missing = [], []
     for layout in names("datasets"):
         try:
-            plugin: type[Dataset] = load("datasets", layout)
+            plugin: DatasetFormat = load("datasets", layout)
         except PluginError as error:
             missing.append(str(error))
             continue

@@ -30,7 +30,7 @@ from .recording import (
     record as record,
 )
 from .sequence_slice import (
-    Excerpt as Excerpt,
+    SequenceSlice as SequenceSlice,
 )
 from .synchroniser import (
     FramePoseSynchroniser as FramePoseSynchroniser,

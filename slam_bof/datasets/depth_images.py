@@ -7,7 +7,7 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import cv2
 import numpy as np
@@ -19,16 +19,16 @@ from slam_bof.types import DepthFrame, Intrinsics
 __all__ = ["CAMERA_FILE", "DepthImages", "is_image", "read_depth_image"]
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg")
-"""Files that are taken for images; those of 8 bits are told what is expected."""
+"""Suffixes of image files. Images of 8 bits are refused with a message of what is expected."""
 KINECT_FOCAL_PX = 585.0
-"""Of an image 640 pixels wide, the 7-Scenes depth camera's."""
+"""Focal length of the 7-Scenes depth camera, for an image 640 pixels wide."""
 CAMERA_FILE = "intrinsics.json"
 MILLIMETRES = 1000.0
 FRAMES_PER_S = 30.0
 
 
 def is_image(path: Path) -> bool:
-    """Tell by its name whether a file is taken for an image."""
+    """Return whether a file is an image, judged by its name."""
     return path.suffix.lower() in SUFFIXES
 
 
@@ -49,16 +49,16 @@ def read_depth_image(
         fx, fy, cx, cy in pixels. By default those of ``intrinsics.json`` beside the image (width,
         height, fx, fy, cx, cy; depth_scale), or else a Kinect's, scaled to the image's width.
     depth_scale
-        Units a metre; by default as that file has it, or else 1000, and 1 for floats.
+        Units a metre; by default that of the file above, or else 1000, and 1 for floats.
     stamp_s
-        Its time.
+        Time stamp of the frame, in seconds.
 
     Returns
     -------
     frame : DepthFrame
         The image.
     source : str
-        Where the intrinsics are from, in words.
+        The source of the intrinsics, in words.
 
     Raises
     ------
@@ -105,16 +105,6 @@ class DepthImages:
         grow = all(a < b for a, b in itertools.pairwise(values))
         self._stamps_s = np.array(values if grow else range(len(files))) / FRAMES_PER_S
         self.intrinsics = self.frame(0).intrinsics
-
-    @classmethod
-    def recognises(cls, path: Path) -> bool:
-        """Tell whether this is an image file."""
-        return path.is_file() and is_image(path)
-
-    @classmethod
-    def open(cls, path: Path) -> Self:
-        """Open a single image."""
-        return cls([path])
 
     def __len__(self) -> int:
         """Return the number of images."""

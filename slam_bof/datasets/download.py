@@ -16,7 +16,7 @@ from slam_bof.errors import DatasetError
 __all__ = ["Downloaded", "OnProgress", "download"]
 
 OnProgress = Callable[[str, int, int], None]
-"""Called with what is being done to which file, and bytes done and in all (0 if unknown)."""
+"""Called with the current task and file, and with bytes done and in total (0 if unknown)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,9 +50,9 @@ def download(
     base_url
         Folder of a mirror that has the archives, in place of the official one.
     keep_archive
-        Keep the archives beside what they held.
+        Whether to keep the archives beside their contents.
     on_progress
-        Told of what is being done.
+        Called with the progress.
 
     Returns
     -------

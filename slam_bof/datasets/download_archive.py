@@ -33,7 +33,7 @@ class BadArchive(DatasetError):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an archive may come to.
+    """Limits of the content of an archive.
 
     ``ratio`` is how many times its own size, beyond ``free_of_ratio_bytes``; depth images, which
     are compressed themselves, come to twice. ``margin_bytes`` of the disk stay free.
@@ -195,7 +195,7 @@ def _elsewhere(archive: Path, name: str, what: str) -> BadArchive:
 
 @contextmanager
 def _naming(archive: Path) -> Iterator[None]:
-    """Turn what the libraries say of damaged archives into one line that names the file."""
+    """Turn errors of the libraries about damaged archives into one line that names the file."""
     try:
         yield
     except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError) as error:

@@ -1,4 +1,4 @@
-"""Which data sets can be downloaded: their official places, what they unpack to, their licences."""
+"""Data sets that can be downloaded: their official addresses, contents and licences."""
 
 from __future__ import annotations
 

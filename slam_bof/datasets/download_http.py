@@ -26,7 +26,7 @@ __all__ = ["Progress", "fetch"]
 logger = logging.getLogger(__name__)
 
 Progress = Callable[[int, int], None]
-"""Called with the number of bytes that are there, and of all (0 if the server does not say)."""
+"""Called with the number of bytes received, and their total (0 if the server does not say)."""
 
 CHUNK_BYTES = 1 << 20
 TIMEOUT_S = 60.0
@@ -102,7 +102,7 @@ def fetch(
 def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
     have, notes = _size(part), _read_notes(part)
     if have and not notes.get("version"):
-        have = 0  # of which file these bytes are, nobody knows
+        have = 0  # it is unknown which file these bytes belong to
     request = urllib.request.Request(url, headers={"User-Agent": "slam-bof"})
     if have:
         request.add_header("Range", f"bytes={have}-")

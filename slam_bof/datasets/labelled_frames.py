@@ -1,4 +1,4 @@
-"""Frames with a scene label each, read one by one from whatever data sets they are in."""
+"""Frames with a scene label each, read one by one from their data sets."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class LabelledFrame:
-    """A frame of a data set, with the scene that it shows."""
+    """A frame of a data set with its scene label."""
 
     dataset: Dataset
     index: int
     label: str
 
     def read(self, *, gray: bool) -> tuple[DepthFrame, NDArray[np.uint8] | None]:
-        """Read the depth image, and the grey one if asked for."""
+        """Read the depth image, and the grey image where ``gray``."""
         frame = self.dataset.frame(self.index)
         image = self.dataset.gray(self.index) if gray else None
         if gray and image is None:
@@ -52,7 +52,7 @@ class LabelledFrame:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledSequence:
-    """A data set and its label; None where every frame has its own."""
+    """A data set and its label; None where the data set has a label for every frame."""
 
     dataset: Dataset
     label: str | None
@@ -73,12 +73,12 @@ def parse_label(text: str) -> tuple[str, Path]:
 def open_labelled(label: str | None, path: Path) -> list[LabelledSequence]:
     """Open a sequence, or all sequences of a folder that holds several, or one depth image.
 
-    Without a ``label`` the data set must have those of its frames.
+    Without ``label``, the data set must have labels of its frames.
 
     Raises
     ------
     DatasetError
-        If the path is none of these, or has no labels of its own and none was given.
+        If the path is none of these, or has no labels and none was given.
     """
     if path.is_file() and is_image(path):
         return [LabelledSequence(DepthImages([path]), label)]
@@ -101,13 +101,13 @@ def open_labelled(label: str | None, path: Path) -> list[LabelledSequence]:
 
 
 def _is_plain(folder: Path) -> bool:
-    """Tell whether a folder holds images and no layout that anybody knows."""
+    """Return whether a folder holds images that no data-set plug-in recognises."""
     entries = list(folder.iterdir())
     images = [entry for entry in entries if entry.is_file() and is_image(entry)]
     if not images or any(entry.is_dir() for entry in entries):
         return False
     for name in registry.names("datasets"):
-        # One that lacks its library can say nothing of the folder.
+        # A plug-in whose library is missing cannot be asked.
         with suppress(PluginError):
             if registry.load("datasets", name).recognises(folder):
                 return False
@@ -115,14 +115,15 @@ def _is_plain(folder: Path) -> bool:
 
 
 def read_label_file(file: Path) -> list[LabelledSequence]:
-    """Open what the rows ``path,label`` of a CSV name; paths are relative to the file.
+    """Open the sequences and images that the rows ``path,label`` of a CSV file name.
 
-    Depth images of one folder and label, in the order of their rows, are a sequence.
+    Paths are relative to the file. Depth images of one folder and label are one sequence, in the
+    order of their rows.
 
     Raises
     ------
     DatasetError
-        If the file is none, or a path is not there.
+        If the file cannot be read, or a path does not exist.
     """
     try:
         with file.open(newline="", encoding="utf-8-sig") as lines:
@@ -152,7 +153,7 @@ def read_label_file(file: Path) -> list[LabelledSequence]:
 
 
 def frames_of(sequences: Iterable[LabelledSequence], *, every: int = 1) -> list[LabelledFrame]:
-    """List each ``every``-th frame of sequences; those without a label ("") are left out."""
+    """List every n-th frame of sequences; frames without a label ("") are left out."""
     frames = []
     for sequence in sequences:
         dataset, labels = sequence.dataset, sequence.dataset.scenes()
@@ -166,7 +167,7 @@ def frames_of(sequences: Iterable[LabelledSequence], *, every: int = 1) -> list[
 
 
 def sequence_names(frames: Sequence[LabelledFrame]) -> list[str]:
-    """Return the sequence of each frame by a name that no other has."""
+    """Return a unique name of the sequence of each frame."""
     numbers: dict[int, int] = {}
     return [
         f"{numbers.setdefault(id(frame.dataset), len(numbers))} {frame.dataset.sequence}"
@@ -183,7 +184,7 @@ def read_split(scene: Path, name: str) -> list[Path]:
     Raises
     ------
     DatasetError
-        If there is no such file, it names nothing, or none of what it names is there.
+        If there is no such file, it names no sequence, or none of those that it names exists.
     """
     file = scene / name
     try:

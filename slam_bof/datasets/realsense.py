@@ -25,9 +25,9 @@ class RealSense:
     Parameters
     ----------
     serial
-        Of the camera; by default the first that is found.
+        Serial number of the camera; by default the first one found.
     width, height, fps
-        Of the depth stream, in px and frames a second.
+        Size of the depth stream in pixels, and its rate in frames a second.
     with_color
         Whether to read colour too.
 

@@ -24,20 +24,30 @@ __all__ = ["Dropped", "FramePoseSynchroniser", "SynchroniserParams"]
 
 
 class SynchroniserParams(Params):
-    """How much is kept, and how long a frame waits."""
+    """Limits of what is kept, and how long a frame waits."""
 
-    max_frames: int = Field(64, gt=0, description="waiting for a pose")
-    max_poses: int = Field(1000, gt=1)
-    max_gap_s: float = Field(0.2, gt=0, description="poses farther apart are not interpolated")
-    tolerance_s: float = Field(0.002, ge=0, description="a pose this near is the frame's own")
+    max_frames: int = Field(64, gt=0, description="Largest number of frames that wait for a pose.")
+    max_poses: int = Field(1000, gt=1, description="Largest number of poses that are kept.")
+    max_gap_s: float = Field(
+        0.2, gt=0, description="Poses farther apart than this many seconds are not interpolated."
+    )
+    tolerance_s: float = Field(
+        0.002,
+        ge=0,
+        description="A pose within this many seconds of a frame is used as it is, without "
+        "interpolation.",
+    )
     max_wait_s: float = Field(
-        1.0, gt=0, description="by the poses' clock; after it a frame without a pose is dropped"
+        1.0,
+        gt=0,
+        description="A frame without a pose is dropped when the newest pose is this many seconds "
+        "newer.",
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Dropped:
-    """A frame that was not paired, or a pose that nobody waits for, and why."""
+    """A frame that was not paired, or a pose that came too late for any frame, and the reason."""
 
     stamp_s: float
     reason: str
@@ -73,7 +83,7 @@ class FramePoseSynchroniser:
         return len(self._frames)
 
     def add_frame(self, frame: DepthFrame) -> bool:
-        """Take a frame, in any order; tell whether it was taken.
+        """Add a frame, in any order; return whether it was accepted.
 
         One that is not newer than those given out already is dropped; one that there is no room
         for is refused, and still yours.

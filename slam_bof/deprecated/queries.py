@@ -2,7 +2,7 @@
 
 import warnings
 
-from slam_bof.store import query_keyframes, query_loops, query_regions
+from slam_bof.store import query_keyframes, query_loops, query_rooms as query_regions
 
 __all__ = ["query_keyframes", "query_loops", "query_regions"]
 

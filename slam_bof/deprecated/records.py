@@ -2,7 +2,7 @@
 
 import warnings
 
-from slam_bof.store import read_records
+from slam_bof.store import replay_keyframes as read_records
 
 __all__ = ["read_records"]
 

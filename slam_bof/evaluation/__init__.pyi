@@ -1,6 +1,6 @@
 from .holdout_training import (
-    TrainedScenes as TrainedScenes,
-    train_scenes as train_scenes,
+    TrainedSceneModel as TrainedSceneModel,
+    train_scene_model as train_scene_model,
 )
 from .localization_metrics import (
     pose_accuracy as pose_accuracy,
@@ -16,22 +16,24 @@ from .paper_tables import (
     run_bench as run_bench,
 )
 from .place_benchmark import (
-    RECOGNISER as RECOGNISER,
-    Scored as Scored,
     evaluate_places as evaluate_places,
 )
+from .place_methods import (
+    RECOGNISER as RECOGNISER,
+    MethodScores as MethodScores,
+)
 from .place_protocol import (
+    PlaceQueries as PlaceQueries,
     ProtocolParams as ProtocolParams,
     overlap_shares as overlap_shares,
 )
 from .retrieval_metrics import (
-    PrecisionRecall as PrecisionRecall,
-    precision_recall as precision_recall,
-    recall_at_k as recall_at_k,
+    RetrievalMetrics as RetrievalMetrics,
+    retrieval_metrics as retrieval_metrics,
 )
 from .scene_benchmark import (
     SceneResult as SceneResult,
-    compare as compare,
+    compare_methods as compare_methods,
     split_officially as split_officially,
     split_rooms as split_rooms,
     split_sunrgbd as split_sunrgbd,

@@ -1,4 +1,4 @@
-"""CPU and wall seconds of what is done, on one thread."""
+"""CPU time and wall time of code, on one thread."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Cost", "one_thread"]
 
 @dataclass
 class Cost:
-    """Seconds of CPU and of the clock on the wall, and the CPU seconds of each call."""
+    """Sums of CPU and wall time in seconds, and the CPU time of each call."""
 
     cpu_s: float = 0.0
     wall_s: float = 0.0
@@ -24,7 +24,7 @@ class Cost:
 
     @contextmanager
     def measure(self) -> Iterator[None]:
-        """Add what the ``with`` block costs."""
+        """Add the cost of the ``with`` block."""
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         yield
         self.calls_s.append(time.process_time() - cpu_s)
@@ -33,7 +33,7 @@ class Cost:
 
     @property
     def median_ms(self) -> float:
-        """CPU milliseconds of a call."""
+        """Median CPU time of a call, in milliseconds."""
         return 1e3 * float(np.median(self.calls_s))
 
     def __add__(self, other: Cost) -> Cost:

@@ -1,4 +1,4 @@
-"""What a query costs, and how often it finds the place."""
+"""The cost of a query to the inverted index, and the recall of revisited places by it."""
 
 from __future__ import annotations
 
@@ -6,43 +6,44 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from slam_bof import evaluation
 from slam_bof.bof import InvertedIndex
 from slam_bof.evaluation.cost import Cost
 from slam_bof.evaluation.descriptor_runs import Progress
+from slam_bof.evaluation.loop_metrics import same_place
+from slam_bof.evaluation.place_methods import bag_similarities
+from slam_bof.evaluation.retrieval_metrics import retrieval_metrics
 from slam_bof.types import Bag, Trajectory
 
 __all__ = ["measure_index", "measure_recall"]
 
 MIN_AGE_FRAMES = 100
+"""An answer is at least this many frames older than its query."""
+RECALL_AT = (1, 5, 10)
 N_MIXED = 10_000
+"""Number of different bags in an index; larger indices hold them several times."""
 N_QUERIES = 50
+"""Number of queries that are timed."""
 
 
 def measure_recall(
     bags: Sequence[Bag], frame_indices: Sequence[int], reference: Trajectory, n_words: int
 ) -> dict[str, float | None]:
-    """Return recall@1, 5 and 10 of the frames that come back to a place.
+    """Return recall at 1, 5 and 10 of the frames that revisit a place (``same_place``).
 
-    Every bag is a query against those at least ``MIN_AGE_FRAMES`` older; what is the same
-    place says ``evaluation.same_place``. None where no frame comes back.
+    Every bag is a query against those at least ``MIN_AGE_FRAMES`` frames older. The values are None
+    where no frame revisits a place.
     """
-    same = evaluation.same_place(frame_indices, reference, min_age_frames=MIN_AGE_FRAMES)
-    index = InvertedIndex(n_words)
-    ranked = []
-    for query, bag in enumerate(bags):
-        n_old = sum(i <= frame_indices[query] - MIN_AGE_FRAMES for i in frame_indices[:query])
-        scores = index.scores(bag)[:n_old]
-        ranked.append(np.argsort(-scores, kind="stable").tolist())
-        index.add(bag)
-    relevant = [np.flatnonzero(row).tolist() for row in same]
-    return {str(k): evaluation.recall_at_k(ranked, relevant, k) for k in (1, 5, 10)}
+    same = same_place(frame_indices, reference, min_age_frames=MIN_AGE_FRAMES)
+    index = np.asarray(frame_indices)
+    allowed = index[None, :] <= index[:, None] - MIN_AGE_FRAMES
+    metrics = retrieval_metrics(bag_similarities(bags, n_words), same, allowed, RECALL_AT)
+    return {str(k): metrics.recall_at[k] if metrics else None for k in RECALL_AT}
 
 
 def measure_index(
     bags: Sequence[Bag], size: int, n_words: int, seed: int, on_progress: Progress
 ) -> dict[str, float]:
-    """Time queries against so many bags, each with words of two of the given ones."""
+    """Time queries against an index of ``size`` bags, each mixed of two of the given ones."""
     random = np.random.default_rng(seed)
     halves = random.integers(len(bags), size=(N_MIXED, 2))
     mixed = [_mix(bags[a], bags[b], random) for a, b in halves]

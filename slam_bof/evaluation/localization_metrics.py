@@ -1,4 +1,4 @@
-"""How exact single poses are that a map gave, held against the truth in another frame."""
+"""Errors of single poses in a map against true poses in another frame."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from slam_bof.types import Array, Pose
 __all__ = ["PoseAccuracy", "align_poses", "pose_accuracy"]
 
 AGREE_M, AGREE_RAD = 0.1, np.radians(5.0)
-"""Answers that are this near to each other, once aligned, agree."""
+"""Two poses agree with an alignment if their error is below these limits."""
 N_TRIED = 100
-"""Of so many answers each is tried as the one that aligns all."""
+"""Largest number of poses tried as the one that aligns all."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseAccuracy:
-    """Of ``n`` frames with a true pose ``n_known`` got one; shares are of these.
+    """Errors of the ``n_known`` frames, of ``n`` with a true pose, whose pose was estimated.
 
-    ``within`` is the share that is off by at most (m, degrees), ``median_m`` and ``median_deg``
-    the errors of one in two.
+    ``within`` is the share of them whose error is at most (metres, degrees); ``median_m`` and
+    ``median_deg`` are median errors.
     """
 
     n: int
@@ -37,10 +37,10 @@ def pose_accuracy(
     T_world_camera: Array,
     limits: tuple[tuple[float, float], ...] = ((0.05, 5.0), (0.1, 10.0), (0.25, 10.0)),
 ) -> PoseAccuracy | None:
-    """Measure poses (N, 4, 4), NaN where unknown, against true ones; None if none can be.
+    """Measure poses (N, 4, 4), NaN where unknown, against true poses; None if none can be.
 
-    The map lies in the world where most answers agree that it does, so that wrong ones do not
-    bend the others.
+    The map is aligned with the world by the largest set of poses that agree with each other, so
+    that wrong poses do not change the errors of the right ones.
     """
     true = np.isfinite(T_world_camera).all(axis=(1, 2))
     both = true & np.isfinite(T_map_camera).all(axis=(1, 2))
@@ -48,18 +48,18 @@ def pose_accuracy(
         return None
     found, truth = T_map_camera[both], T_world_camera[both]
     errors = se3.inverse(truth) @ align_poses(found, truth) @ found
-    off_m = np.linalg.norm(errors[:, :3, 3], axis=1)
-    off_deg = np.degrees(np.atleast_1d(se3.rotation_angle(errors)))
+    error_m = np.linalg.norm(errors[:, :3, 3], axis=1)
+    error_deg = np.degrees(np.atleast_1d(se3.rotation_angle(errors)))
     within = {
-        (metres, degrees): float(((off_m <= metres) & (off_deg <= degrees)).mean())
+        (metres, degrees): float(((error_m <= metres) & (error_deg <= degrees)).mean())
         for metres, degrees in limits
     }
     return PoseAccuracy(
-        int(true.sum()),
-        int(both.sum()),
-        within,
-        float(np.median(off_m)),
-        float(np.median(off_deg)),
+        n=int(true.sum()),
+        n_known=int(both.sum()),
+        within=within,
+        median_m=float(np.median(error_m)),
+        median_deg=float(np.median(error_deg)),
     )
 
 

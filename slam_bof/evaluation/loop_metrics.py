@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.types import Array, Loop, Trajectory
+from slam_bof.types import Array, EdgeKind, Loop, Trajectory
 
 __all__ = ["loop_errors", "loop_precision", "loop_recall", "revisits", "same_place"]
 
@@ -49,9 +49,9 @@ def loop_precision(
     max_translation_m: float = 0.10,
     max_rotation_rad: float = np.radians(5.0),
 ) -> float | None:
-    """Return the share of loops that are right by ground truth; None where none can be told.
+    """Return the share of loops whose pose agrees with ground truth.
 
-    Parameters are those of ``loop_errors``.
+    None where there is no ground truth for any loop. Other parameters are those of ``loop_errors``.
     """
     if reference is None:
         return None
@@ -70,16 +70,16 @@ def same_place(
     max_distance_m: float = 0.3,
     max_angle_rad: float = np.radians(25.0),
 ) -> NDArray[np.bool_]:
-    """Tell which frames come back to the place of which others.
+    """Return which frames revisit the place of which older frames.
 
-    That is, to within the given distance and angle, by ground truth, of a frame at least
-    ``min_age_frames`` older.
+    A frame revisits a place if, by ground truth, it is within the given distance and angle of a
+    frame at least ``min_age_frames`` older.
 
     Returns
     -------
     NDArray
-        (K, K) bool, row: the frame that comes back; column: the older one. False where the
-        truth is unknown.
+        (K, K) bool; rows are the frames that revisit, columns the older ones. False where the
+        ground truth is unknown.
     """
     index = np.asarray(frame_indices, dtype=np.intp)
     truth = reference.poses[index]
@@ -93,22 +93,21 @@ def same_place(
 
 
 def revisits(keyframe_indices: Sequence[int], reference: Trajectory) -> NDArray[np.bool_]:
-    """Tell which keyframes come back to the place of an older one, (K,); see ``same_place``."""
+    """Return which keyframes revisit the place of an older one, (K,); see ``same_place``."""
     return np.asarray(same_place(keyframe_indices, reference).any(axis=1))
 
 
 def loop_recall(
     loops: Sequence[Loop], keyframe_indices: Sequence[int], reference: Trajectory | None
 ) -> float | None:
-    """Return the share of the revisiting keyframes that got a loop; None if none revisit.
+    """Return the share of revisiting keyframes that have a loop; None if no keyframe revisits.
 
-    Edges between near neighbours in time (``covisibility``) do not count. Parameters are those
-    of ``loop_errors``.
+    Covisibility edges do not count. Parameters are those of ``loop_errors``.
     """
     if reference is None:
         return None
-    back = revisits(keyframe_indices, reference)
-    if not back.any():
+    revisiting = revisits(keyframe_indices, reference)
+    if not revisiting.any():
         return None
-    looped = {loop.query_id for loop in loops if loop.kind == "loop"}
-    return float(np.mean([id_ in looped for id_ in np.flatnonzero(back)]))
+    with_loop = {loop.query_id for loop in loops if loop.kind == EdgeKind.LOOP}
+    return float(np.mean([id_ in with_loop for id_ in np.flatnonzero(revisiting)]))

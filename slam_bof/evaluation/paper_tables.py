@@ -1,4 +1,4 @@
-"""The figures of the paper's tables 7 to 9, by method."""
+"""The paper's tables 7 to 9: cost of the processes and memory, by method."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from slam_bof.evaluation.cost import Cost, one_thread
 from slam_bof.evaluation.descriptor_runs import (
     METHODS,
     N_REPEATS,
-    Described,
+    DescriptorRun,
     Method,
     Progress,
     choose_frames,
@@ -29,11 +29,11 @@ from slam_bof.types import Bag
 __all__ = ["run_bench"]
 
 MIN_DESCRIPTORS = 10
-"""Below so many in all frames there is no codebook to speak of."""
+"""A method with fewer descriptors in all frames is left out."""
 QUERY_EVERY = 5
-"""Recall is measured on each so many frames."""
-INDEXED = "BOF 20 layers"
-"""The method whose bags the large indices hold."""
+"""Recall is measured on every n-th frame."""
+INDEXED_METHOD = "BOF 20 layers"
+"""The method whose bags fill the large indices."""
 
 
 def run_bench(
@@ -50,23 +50,25 @@ def run_bench(
     Parameters
     ----------
     datasets
-        Several are a class each; a single one is cut into stretches of time, whose
-        classification costs what any does, but tells nothing.
+        Several sequences are a class each. A single one is cut into segments of time, which
+        shows the cost of a classification but not its quality.
     n_frames
-        Take so many, evenly spaced, of each sequence; by default all.
+        Number of frames of each sequence, evenly spaced; by default all.
     n_words
-        Of the codebooks; fewer where a method finds fewer descriptors in all frames.
+        Number of words of the codebooks; fewer where a method finds fewer descriptors.
     index_sizes
         Numbers of keyframes that a query is timed against.
+    seed
+        Seed of all random numbers.
     on_progress
-        Called with what is being done, how much of it is, and of how much.
+        Called with the name of the current task, the number of steps done, and their total.
 
     Returns
     -------
     dict
-        ``methods`` by name (the figures of one column each), ``increases`` (table 8),
-        ``index`` (of a query, by number of keyframes), ``left_out`` (methods and why), and what
-        was measured on.
+        ``methods`` by name (the figures of one column each), ``increases`` (table 8), ``index``
+        (cost of a query by number of keyframes), ``left_out`` (reason by method), and the
+        sequences, frames and classes measured.
 
     Raises
     ------
@@ -76,23 +78,24 @@ def run_bench(
     frames = choose_frames(datasets, n_frames)
     methods, left_out = _methods(datasets)
     columns: dict[str, dict[str, Any]] = {}
-    indexed: tuple[list[Bag], int] = ([], n_words)
+    indexed_bags: list[Bag] = []
+    n_indexed_words = n_words
     with one_thread():
-        reading, described = describe(frames, methods, on_progress)
+        reading, runs = describe(frames, methods, on_progress)
         for done, method in enumerate(methods, start=1):
-            found = described.pop(method.name)
-            if len(found) < MIN_DESCRIPTORS:
-                left_out[method.name] = f"{len(found)} descriptors in all frames"
+            run = runs.pop(method.name)
+            if len(run) < MIN_DESCRIPTORS:
+                left_out[method.name] = f"{len(run)} descriptors in all frames"
                 continue
-            words = min(n_words, len(found), method.max_samples)
-            column, bags = _measure(frames, method, found, n_words=words, seed=seed)
+            words = min(n_words, len(run), method.max_samples)
+            column, bags = _measure(frames, method, run, n_words=words, seed=seed)
             columns[method.name] = column
-            if method.name == INDEXED:
-                indexed = bags, words
+            if method.name == INDEXED_METHOD:
+                indexed_bags, n_indexed_words = bags, words
             on_progress("Codebooks and classifiers", done, len(methods))
         index = {
-            str(size): measure_index(indexed[0], size, indexed[1], seed, on_progress)
-            for size in (index_sizes if indexed[0] else ())
+            str(size): measure_index(indexed_bags, size, n_indexed_words, seed, on_progress)
+            for size in (index_sizes if indexed_bags else ())
         }
     return {
         "sequences": [dataset.sequence for dataset in datasets],
@@ -110,32 +113,32 @@ def run_bench(
 
 def _methods(datasets: Sequence[Dataset]) -> tuple[list[Method], dict[str, str]]:
     """Return the methods that the sequences have images for, and why others are left out."""
-    dark = [dataset.sequence for dataset in datasets if dataset.gray(0) is None]
-    if not dark:
+    without = [dataset.sequence for dataset in datasets if dataset.gray(0) is None]
+    if not without:
         return list(METHODS), {}
-    why = f"no colour images in {', '.join(dark)}"
-    left_out = {m.name: why for m in METHODS if m.plugin != "bof"}
+    reason = f"no colour images in {', '.join(without)}"
+    left_out = {m.name: reason for m in METHODS if m.plugin != "bof"}
     return [m for m in METHODS if m.name not in left_out], left_out
 
 
 def _measure(
     frames: Sequence[LabelledFrame],
     method: Method,
-    described: Described,
+    run: DescriptorRun,
     *,
     n_words: int,
     seed: int,
 ) -> tuple[dict[str, Any], list[Bag]]:
     """Return a column of the tables, and the bags of all frames."""
     codebook, lookup, weighing, bagging = Cost(), Cost(), Cost(), Cost()
-    samples = described.samples(method.max_samples, seed)
+    samples = run.samples(method.max_samples, seed)
     with codebook.measure():
         vocabulary = Vocabulary(n_words=n_words, seed=seed).fit(samples)
     words = []
-    for found in described.values:
-        values = described.numbers(found)
+    for values in run.values:
+        as_float = run.as_float(values)
         with lookup.measure():
-            words.append(vocabulary.lookup(values))
+            words.append(vocabulary.lookup(as_float))
     with weighing.measure():
         counts = count_words(words, n_words)
         tf_idf = TfIdf().fit(counts)
@@ -146,9 +149,9 @@ def _measure(
             bags.append(tf_idf.bag(of_frame))
     training, classification, classifier = _classify(frames, matrix, seed)
 
-    one, extraction, represent = described.one, described.all, lookup + weighing
+    one_frame, extraction, represent = run.one_frame, run.all_frames, lookup + weighing
     processes = {
-        1: Cost(one.cpu_s / N_REPEATS, one.wall_s / N_REPEATS),
+        1: Cost(one_frame.cpu_s / N_REPEATS, one_frame.wall_s / N_REPEATS),
         2: extraction,
         3: codebook,
         4: represent,
@@ -163,17 +166,17 @@ def _measure(
         "process_wall_s": {str(k): cost.wall_s for k, cost in processes.items()},
         "describe_ms": extraction.median_ms,
         "bag_ms": 1e3 * float(np.median(np.add(lookup.calls_s, bagging.calls_s))),
-        "descriptors": len(described),
+        "descriptors": len(run),
         "samples": len(samples),
         "words": n_words,
-        "descriptor_bytes": described.nbytes,
+        "descriptor_bytes": run.nbytes,
         "bag_bytes": matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes,
         "codebook_bytes": vocabulary.words_.nbytes + tf_idf.idf_.nbytes,
         "classifier_bytes": len(classifier_bytes(classifier)),
     }
     if method.plugin == "bof":
         column["recall"] = _recall(frames, bags, n_words)
-        column |= _measure_packed(frames, described, vocabulary, tf_idf, words)
+        column |= _measure_compressed(frames, run, vocabulary, tf_idf, words)
     return column, bags
 
 
@@ -189,15 +192,15 @@ def _classify(
     return training, classification, classifier
 
 
-def _measure_packed(
+def _measure_compressed(
     frames: Sequence[LabelledFrame],
-    described: Described,
+    run: DescriptorRun,
     vocabulary: Vocabulary,
     tf_idf: TfIdf,
     words: Sequence[NDArray[np.int32]],
 ) -> dict[str, Any]:
-    """Return the size of packed descriptors, and what packing changes."""
-    packed = [pack(described.numbers(found)) for found in described.values]
+    """Return the size of compressed descriptors, and how many words and recall they keep."""
+    packed = [pack(run.as_float(values)) for values in run.values]
     n_values = vocabulary.words_.shape[1]
     again = [vocabulary.lookup(unpack(data, n_values=n_values)) for data in packed]
     return {
@@ -210,7 +213,7 @@ def _measure_packed(
 def _recall(
     frames: Sequence[LabelledFrame], bags: Sequence[Bag], n_words: int
 ) -> dict[str, float | None] | None:
-    """Return the recall of each ``QUERY_EVERY``-th frame of one sequence with ground truth."""
+    """Return the recall of every ``QUERY_EVERY``-th frame of one sequence with ground truth."""
     dataset = frames[0].dataset
     groundtruth = dataset.groundtruth()
     if groundtruth is None or any(frame.dataset is not dataset for frame in frames):
@@ -221,7 +224,7 @@ def _recall(
 
 
 def _increases(columns: dict[str, dict[str, Any]]) -> dict[str, dict[str, dict[str, float | None]]]:
-    """Return by how many percent SIFT and ORB take more than BOF (table 8), by process."""
+    """Return by how many percent SIFT and ORB cost more than BOF (table 8), by process."""
     return {
         f"{initial} to {final}": {
             key.removeprefix("process_").removesuffix("_s") + "_percent": {

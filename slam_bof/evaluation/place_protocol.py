@@ -1,55 +1,122 @@
-"""How often a description of a frame finds the place again: the protocol, the truth, the figures.
+"""Protocol of place recognition: which frames are queries, and which answers are right.
 
-Every few frames of a sequence are a query, against those of them that are older by a margin.
-Two truths: *pose*, the camera is back where it was, and *overlap*, both frames see the same
-surfaces, which is what a geometric verification needs.
+Every few frames of a sequence are queries, matched against those of them that are older by a
+margin. An answer is relevant by one of two truths: *pose*, the camera is back where it was, and
+*overlap*, both frames see the same surfaces, which is what a geometric verification needs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from slam_bof.errors import DatasetError
 from slam_bof.evaluation.loop_metrics import same_place
 from slam_bof.geometry import back_project, se3
+from slam_bof.ports import Dataset
 from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
 
-__all__ = ["ProtocolParams", "eligible", "overlap_shares", "truths"]
+__all__ = [
+    "PlaceQueries",
+    "ProtocolParams",
+    "allowed_answers",
+    "overlap_shares",
+    "relevant_answers",
+]
 
 
 class ProtocolParams(Params):
-    """Which frames ask, which may answer, and what is right."""
+    """Which frames are queries, which may be answers, and which answers are relevant."""
 
-    every: int = Field(5, gt=0, description="each so many frames is a query and an answer")
-    min_age_frames: int = Field(101, gt=0, description="an answer is so much older at least")
-    max_distance_m: float = Field(0.3, gt=0, description="pose: between the two cameras")
-    max_angle_deg: float = Field(25.0, gt=0, description="pose: between the two views")
-    min_overlap: float = Field(0.5, gt=0, le=1, description="overlap: of either frame's surface")
-    tolerance_m: float = Field(0.05, ge=0, description="overlap: of depth, plus a share of it")
-    tolerance_share: float = Field(0.02, ge=0, description="overlap: of depth, of its range")
-    stride: int = Field(4, gt=0, description="overlap: every so many pixels are projected")
+    every: int = Field(
+        5, gt=0, description="Every n-th frame of a sequence is a query and an answer."
+    )
+    min_age_frames: int = Field(
+        101, gt=0, description="Least number of frames that an answer is older than its query."
+    )
+    max_distance_m: float = Field(
+        0.3, gt=0, description="Truth by pose: largest distance between both cameras, in metres."
+    )
+    max_angle_deg: float = Field(
+        25.0, gt=0, description="Truth by pose: largest angle between both cameras, in degrees."
+    )
+    min_overlap: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Truth by overlap: least share of either frame's points that the other sees.",
+    )
+    tolerance_m: float = Field(
+        0.05,
+        ge=0,
+        description="Truth by overlap: a point is seen if its depth agrees to within this many "
+        "metres plus tolerance_share of its depth.",
+    )
+    tolerance_share: float = Field(
+        0.02, ge=0, description="Truth by overlap: share of the depth added to tolerance_m."
+    )
+    stride: int = Field(
+        4, gt=0, description="Truth by overlap: every n-th pixel of rows and columns is projected."
+    )
 
 
-def eligible(frame_indices: Sequence[int], params: ProtocolParams) -> NDArray[np.bool_]:
-    """Tell which frames (columns) may answer which queries (rows), (K, K)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class PlaceQueries:
+    """The K queries of a sequence, which are its possible answers as well.
+
+    ``indices`` (K,) are their frames, ``allowed`` (K, K) tells which answers (columns) may be given
+    to which queries (rows), and ``relevant`` has a (K, K) array for each truth, ``pose`` and
+    ``overlap``.
+    """
+
+    dataset: Dataset
+    indices: list[int]
+    allowed: NDArray[np.bool_]
+    relevant: dict[str, NDArray[np.bool_]]
+
+    @classmethod
+    def of(cls, dataset: Dataset, params: ProtocolParams) -> Self:
+        """Choose the queries of a sequence, and find the relevant answers by its ground truth.
+
+        Raises
+        ------
+        DatasetError
+            If the sequence has no ground truth, or lacks the pose of a query.
+        """
+        name, groundtruth = dataset.sequence, dataset.groundtruth()
+        indices = list(range(0, len(dataset), params.every))
+        if groundtruth is None:
+            raise DatasetError(f"{name}: found no ground truth, expected poses to judge by")
+        if not np.isfinite(groundtruth.poses[indices]).all():
+            raise DatasetError(f"{name}: found frames without pose, expected all to have")
+        frames = [dataset.frame(index) for index in indices]
+        relevant = relevant_answers(frames, indices, groundtruth, params)
+        return cls(dataset, indices, allowed_answers(indices, params), relevant)
+
+
+def allowed_answers(frame_indices: Sequence[int], params: ProtocolParams) -> NDArray[np.bool_]:
+    """Return which frames (columns) are old enough to answer which queries (rows), (K, K)."""
     index = np.asarray(frame_indices)
     return np.asarray(index[None, :] <= index[:, None] - params.min_age_frames)
 
 
-def truths(
+def relevant_answers(
     frames: Sequence[DepthFrame],
     frame_indices: Sequence[int],
     reference: Trajectory,
     params: ProtocolParams,
 ) -> dict[str, NDArray[np.bool_]]:
-    """Return what is right by ``pose`` and by ``overlap``, (K, K) each: query, answer.
+    """Return the relevant answers (columns) to each query (row), (K, K), by each truth.
 
-    ``frame_indices`` (K,) are those of ``frames`` in ``reference``.
+    ``frame_indices`` (K,) are the indices of ``frames`` in ``reference``. The keys are ``pose`` and
+    ``overlap``.
     """
-    allowed = eligible(frame_indices, params)
+    allowed = allowed_answers(frame_indices, params)
     by_pose = same_place(
         frame_indices,
         reference,
@@ -67,9 +134,9 @@ def overlap_shares(
     pairs: NDArray[np.bool_],
     params: ProtocolParams,
 ) -> Array:
-    """Return how much of either frame's surface both of a pair see, (K, K), 0 elsewhere.
+    """Return the overlap of pairs of frames, (K, K), 0 where ``pairs`` is False.
 
-    That is the smaller of two shares: of the one's points that the other sees, and the reverse.
+    The overlap is the smaller of two shares: of the points of either frame that the other sees.
     """
     depths_m = [frame.depth_m() for frame in frames]
     points = [
@@ -80,25 +147,26 @@ def overlap_shares(
     for a, b in np.argwhere(pairs):
         T_b_a = se3.inverse(T_world_cameras[b]) @ T_world_cameras[a]
         shares[a, b] = min(
-            _seen(points[a], T_b_a, frames[b], depths_m[b], params),
-            _seen(points[b], se3.inverse(T_b_a), frames[a], depths_m[a], params),
+            _seen_share(points[a], T_b_a, frames[b], depths_m[b], params),
+            _seen_share(points[b], se3.inverse(T_b_a), frames[a], depths_m[a], params),
         )
     return shares
 
 
-def _seen(
+def _seen_share(
     points_a: Array, T_b_a: Pose, frame_b: DepthFrame, depth_b_m: Array, params: ProtocolParams
 ) -> float:
-    """Return the share of a's points that b sees, at the depth where they are."""
+    """Return the share of a's points that b sees at their depth."""
     x, y, z = T_b_a[:3, :3] @ points_a.T + T_b_a[:3, 3:]
     camera = frame_b.intrinsics
-    before = z > 0
-    x, y, z = x[before], y[before], z[before]
+    in_front = z > 0
+    x, y, z = x[in_front], y[in_front], z[in_front]
     column = np.rint(x / z * camera.fx + camera.cx)
     row = np.rint(y / z * camera.fy + camera.cy)
     inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     measured = depth_b_m[row[inside].astype(int), column[inside].astype(int)]
     expected = z[inside]
-    off = np.abs(measured - expected)
-    seen = (measured > 0) & (off < params.tolerance_m + params.tolerance_share * expected)
+    difference = np.abs(measured - expected)
+    tolerance = params.tolerance_m + params.tolerance_share * expected
+    seen = (measured > 0) & (difference < tolerance)
     return float(seen.sum() / len(points_a)) if len(points_a) else 0.0

@@ -1,4 +1,4 @@
-"""Compare ways to label scenes, on frames that a protocol has split (``scene_splits``)."""
+"""Compare methods that label scenes, on training and test frames chosen by a protocol."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from slam_bof.datasets import (
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.cost import one_thread
 from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
-from slam_bof.evaluation.scene_metrics import SceneScores, score
+from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
 from slam_bof.evaluation.scene_splits import Split
-from slam_bof.scenes import TrainingFrame, moments
+from slam_bof.scenes import TrainingFrame, frame_groups
 from slam_bof.synthetic import ROOM_KINDS, RoomViews, make_gallery
 from slam_bof.types import Array
 
 __all__ = [
     "SceneResult",
-    "compare",
+    "compare_methods",
     "split_officially",
     "split_rooms",
     "split_sunrgbd",
 ]
 
 TRAIN_SEED, TEST_SEED = 3000, 7000
-"""Of the first room to train with, and of the first one to test with."""
+"""Seeds of the first room to train with, and of the first one to test with."""
 MAX_ROOMS = TEST_SEED - TRAIN_SEED
 
 Progress = Callable[[str, int, int], None]
@@ -44,11 +44,11 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneResult:
-    """What a method came to on the test frames.
+    """The result of a method on the test frames.
 
-    ``probabilities`` (N, C) are by ``scores.classes``. ``label_ms`` is the CPU that a frame takes
-    from image to label (median), ``train_s`` the CPU of training, and ``n_bytes`` the size of
-    what was learnt.
+    ``probabilities`` (N, C) are in the order of ``scores.classes``, ``true`` (N,) are the true
+    labels. ``label_ms`` is the median CPU time from image to label in milliseconds, ``train_s``
+    the CPU time of training in seconds, and ``n_bytes`` the size of what was learnt.
     """
 
     method: str
@@ -60,35 +60,35 @@ class SceneResult:
     n_bytes: int
 
 
-def compare(
+def compare_methods(
     split: Split,
     methods: Sequence[ModelMethod | DescriptorMethod],
     *,
     groups: Sequence[str] | None = None,
     on_progress: Progress = lambda what, done, total: None,
 ) -> tuple[list[SceneResult], dict[str, str]]:
-    """Train every method with the same frames and test it with the same others.
+    """Train every method with the same frames and test it with the same other frames.
 
-    Each frame is read once. One thread does all, that methods' times can be compared.
+    Each frame is read once. Everything runs on one thread, so that times are comparable.
 
     Parameters
     ----------
     split
-        The frames.
+        The training and test frames.
     methods
-        Not fitted yet.
+        The methods, not fitted yet.
     groups
-        The moment that each training frame shows, which no fold of a calibration splits; by
-        default its sequence, or a stretch of it (``labelled.moments``).
+        The group of each training frame, which no calibration fold splits; by default its
+        sequence, or a segment of it (``slam_bof.scenes.frame_groups``).
     on_progress
-        Called with what is done, how much of it is, and of how much.
+        Called with the name of the current task, the number of steps done, and their total.
 
     Returns
     -------
     results : list of SceneResult
-        In the order of the methods.
+        The results in the order of the methods.
     left_out : dict
-        By name, the methods that could not be judged, and why.
+        The reason for each method, by name, that could not be evaluated.
 
     Raises
     ------
@@ -97,18 +97,19 @@ def compare(
     """
     split.check()
     left_out: dict[str, str] = {}
-    dark = _dark(split) if any(method.needs_gray for method in methods) else []
-    judged = []
+    needs_gray = any(method.needs_gray for method in methods)
+    without_gray = _sequences_without_gray(split) if needs_gray else []
+    evaluated = []
     for method in methods:
-        if method.needs_gray and dark:
-            left_out[method.name] = f"no colour images in {', '.join(dark)}"
+        if method.needs_gray and without_gray:
+            left_out[method.name] = f"no colour images in {', '.join(without_gray)}"
         else:
-            judged.append(method)
+            evaluated.append(method)
     sequences = sequence_names(split.train) if groups is None else groups
-    groups = moments(split.train) if groups is None else groups
+    groups = frame_groups(split.train) if groups is None else groups
     with one_thread():
-        seen = _show(split.train, sequences, judged, on_progress)
-        fitted = _fit(seen, split.train, groups, judged, left_out, on_progress)
+        frames = _read_training(split.train, sequences, evaluated, on_progress)
+        fitted = _fit(frames, split.train, groups, evaluated, left_out, on_progress)
         return _test(split, fitted, on_progress), left_out
 
 
@@ -118,9 +119,10 @@ def split_officially(labels: Sequence[tuple[str, Path]], *, every: int = 1) -> S
     Parameters
     ----------
     labels
-        A name and the folder of its scene, with seq-XX folders and both files, for each class.
+        The name of each class and the folder of its scene, which has seq-XX folders and both
+        files.
     every
-        Take each so many frames.
+        Take every n-th frame.
     """
     sides = []
     for name in ("TrainSplit.txt", "TestSplit.txt"):
@@ -134,12 +136,12 @@ def split_officially(labels: Sequence[tuple[str, Path]], *, every: int = 1) -> S
 
 
 def split_sunrgbd(path: Path, *, every: int = 1) -> Split:
-    """Split the images of SUN RGB-D as its authors do.
+    """Split the images of SUN RGB-D as its authors do, and take every n-th of either side.
 
     Raises
     ------
     DatasetError
-        If the data set has no labels, or does not say which images are to train with.
+        If the data set has no labels, or no official split.
     """
     dataset: Any = registry.open_dataset(path)
     is_train = getattr(dataset, "is_train", None)
@@ -157,7 +159,7 @@ def split_sunrgbd(path: Path, *, every: int = 1) -> Split:
 def split_rooms(n_train_rooms: int, n_test_rooms: int, n_views: int, *, seed: int = 0) -> Split:
     """Make synthetic rooms of every kind to train with, and others to test with.
 
-    Seeds of the two never meet, nor those of the model that comes along.
+    Their seeds differ from each other and from those of the default model's rooms.
     """
     n_rooms = max(n_train_rooms, n_test_rooms)
     if (seed + 1) * n_rooms > MAX_ROOMS:
@@ -172,49 +174,50 @@ def split_rooms(n_train_rooms: int, n_test_rooms: int, n_views: int, *, seed: in
     return Split(*sides)
 
 
-def _dark(split: Split) -> list[str]:
-    """Return the sequences without grey images."""
+def _sequences_without_gray(split: Split) -> list[str]:
     datasets = {id(f.dataset): f.dataset for f in [*split.train, *split.test]}
-    # To ask a synthetic room would be to make it.
-    asked = [d for d in datasets.values() if not isinstance(d, RoomViews)]
-    return [d.sequence for d in asked if d.gray(0) is None]
+    # Synthetic rooms always have grey images, and reading one would render the room.
+    recorded = [d for d in datasets.values() if not isinstance(d, RoomViews)]
+    return [d.sequence for d in recorded if d.gray(0) is None]
 
 
-def _show(
+def _read_training(
     frames: Sequence[LabelledFrame],
     groups: Sequence[str],
     methods: Sequence[ModelMethod | DescriptorMethod],
     on_progress: Progress,
 ) -> Iterator[TrainingFrame]:
-    """Yield the frames to train with; show each to those that describe them in passing."""
+    """Yield the training frames, and add each to the methods by descriptors."""
     describing = [method for method in methods if isinstance(method, DescriptorMethod)]
     gray = any(method.needs_gray for method in describing)
     for done, (item, group) in enumerate(zip(frames, groups, strict=True), start=1):
         frame, image = item.read(gray=gray)
         for method in describing:
-            method.see(frame, image)
+            method.add(frame, image)
         on_progress("Describing", done, len(frames))
         yield TrainingFrame(frame, item.label, group)
 
 
 def _fit(
-    seen: Iterator[TrainingFrame],
-    frames: Sequence[LabelledFrame],
+    frames: Iterator[TrainingFrame],
+    labelled: Sequence[LabelledFrame],
     groups: Sequence[str],
     methods: Sequence[ModelMethod | DescriptorMethod],
     left_out: dict[str, str],
     on_progress: Progress,
 ) -> list[ModelMethod | DescriptorMethod]:
-    labels = [frame.label for frame in frames]
-    # What the model is trained with passes by the others, which are fitted when all has passed.
+    """Fit the methods to the frames; return those that can be fitted, in the same order."""
+    labels = [frame.label for frame in labelled]
     fitted: list[ModelMethod | DescriptorMethod] = []
+    # Models read the frames. Methods by descriptors get them in passing (``_read_training``),
+    # so they are fitted after all frames have been read.
     ordered = sorted(methods, key=lambda method: isinstance(method, DescriptorMethod))
     for done, method in enumerate(ordered, start=1):
         try:
             if isinstance(method, ModelMethod):
-                method.fit(seen)
+                method.fit(frames)
             else:
-                deque(seen, maxlen=0)
+                deque(frames, maxlen=0)
                 method.fit(labels, groups)
             fitted.append(method)
         except DatasetError as error:
@@ -239,13 +242,13 @@ def _test(
         on_progress("Testing", row + 1, len(true))
     return [
         SceneResult(
-            method.name,
-            score(probabilities[method.name], true, classes),
-            probabilities[method.name],
-            true,
-            method.label.median_ms,
-            method.train.cpu_s,
-            method.nbytes(),
+            method=method.name,
+            scores=scene_scores(probabilities[method.name], true, classes),
+            probabilities=probabilities[method.name],
+            true=true,
+            label_ms=method.label.median_ms,
+            train_s=method.train.cpu_s,
+            n_bytes=method.nbytes(),
         )
         for method in methods
     ]

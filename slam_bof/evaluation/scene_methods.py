@@ -1,10 +1,9 @@
-"""Ways to label frames with scenes: the product's, and descriptors with a classifier each.
+"""Methods that label frames with scenes: slam_bof's own, and descriptors with a classifier each.
 
-Each is shown the frames to train with one by one, is then fitted, and gives probabilities of the
-classes. A descriptor plug-in that finds local features has them turned into bags of words, with
-the same classifier as the paper's; one that has a row for each frame has these standardised for a
-support vector machine with a Gaussian kernel. Probabilities are Platt's, fitted on folds that hold
-different moments.
+A method sees the training frames one by one, is then fitted, and returns probabilities of the
+classes. Local features of a descriptor plug-in are turned into bags of words, for the paper's
+classifier; a descriptor with one row a frame is standardised for a support vector machine with a
+Gaussian kernel. Probabilities are Platt's, fitted on folds that split no sequence or segment.
 """
 
 from __future__ import annotations
@@ -25,16 +24,16 @@ from slam_bof.bof import PlaceParams
 from slam_bof.core import registry
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.cost import Cost
-from slam_bof.evaluation.descriptor_runs import Described, learn_bags
+from slam_bof.evaluation.descriptor_runs import DescriptorRun, learn_vocabulary
 from slam_bof.ports import Descriptor
 from slam_bof.scenes import (
-    MACHINES,
-    MachineName,
+    CLASSIFIERS,
+    ClassifierName,
     Model,
     SceneClassifier,
     TrainingFrame,
-    grouped_folds,
-    make_machine,
+    make_classifier,
+    make_folds,
     model as models,
     train_model,
 )
@@ -43,32 +42,33 @@ from slam_bof.types import Array, DepthFrame
 __all__ = ["OURS", "DescriptorMethod", "ModelMethod", "SceneMethod", "make_methods"]
 
 OURS = "ours"
-"""What the product's own labels go by among the methods."""
+"""Name of slam_bof's own model among the methods."""
 COST = 10.0
-"""Of a training error, on standardised rows."""
+"""Cost of a training error (C) of the support vector machines."""
+N_FOLDS = 5
 Gray = NDArray[np.uint8]
 
 
 class SceneMethod(Protocol):
-    """One way to label frames."""
+    """A method that labels frames."""
 
     name: str
     needs_gray: bool
     label: Cost
-    """What labelling a frame costs, from the image on."""
+    """Cost of labelling, from the image to the probabilities."""
     train: Cost
-    """What training costs, describing the frames included."""
+    """Cost of training, including the description of the frames."""
 
     def probabilities(self, frame: DepthFrame, gray: Gray | None) -> Array:
         """Return the probability of each class (C,), sorted by name, of a frame."""
 
     def nbytes(self) -> int:
-        """Return how large what was learnt is."""
+        """Return the size in bytes of what was learnt."""
 
 
 @dataclass
 class ModelMethod:
-    """The labels of a model, as ``slam-bof train`` makes it or one that is there already."""
+    """A model as ``slam-bof train`` makes it, or a given one."""
 
     params: PlaceParams = field(default_factory=PlaceParams)
     n_words: int = 1024
@@ -105,7 +105,7 @@ class ModelMethod:
                 )
         except ValueError as error:
             raise DatasetError(f"cannot be trained: {error}") from error
-        # Whoever makes the frames, and describes them by other methods, is no part of it.
+        # Reading the frames, and describing them by other methods, is no part of this training.
         self.train.cpu_s -= reading.cpu_s
         self._labeller = self.model.labeller()
 
@@ -138,10 +138,10 @@ class DescriptorMethod:
         options: Sequence[dict[str, Any]] = (),
         n_words: int = 1024,
         seed: int = 0,
-        machine: MachineName | None = None,
+        classifier: ClassifierName | None = None,
     ) -> None:
-        self.name = "+".join(names) + (f":{machine}" if machine else "")
-        self._machine: MachineName = machine or "svm-rbf"
+        self.name = "+".join(names) + (f":{classifier}" if classifier else "")
+        self._classifier_name: ClassifierName = classifier or "svm-rbf"
         self.label, self.train = Cost(), Cost()
         self._n_words, self._seed = n_words, seed
         pairs = zip(names, options or [{}] * len(names), strict=True)
@@ -153,44 +153,44 @@ class DescriptorMethod:
         if len(kinds) > 1 or (kinds == {True} and len(names) > 1):
             raise ValueError(f"bags of words cannot be put beside others, got {self.name}")
         self._is_bag = kinds == {True}
-        self._found = Described(self._descriptors[0])
+        self._run = DescriptorRun(self._descriptors[0])
 
-    def see(self, frame: DepthFrame, gray: Gray | None) -> None:
-        """Take a frame to train with."""
+    def add(self, frame: DepthFrame, gray: Gray | None) -> None:
+        """Describe a training frame and keep its descriptors."""
         with self.train.measure():
             values = self._describe(frame, gray)
-        self._found.keep(values)
+        self._run.keep(values)
 
     def fit(self, labels: Sequence[str], groups: Sequence[str]) -> None:
-        """Fit the classifier to the frames taken, by their labels and moments."""
+        """Fit the classifier to the frames added, given their labels and groups (n_frames,)."""
         y = np.array(labels)
         with self.train.measure():
             if self._is_bag:
-                n_words = min(self._n_words, max(len(self._found), 2))
-                self._bags, counts = learn_bags(
-                    self._found, self.name, n_words=n_words, seed=self._seed
+                n_words = min(self._n_words, max(len(self._run), 2))
+                self._vocabulary, counts = learn_vocabulary(
+                    self._run, self.name, n_words=n_words, seed=self._seed
                 )
-                X = self._bags[1].transform(counts)
+                X = self._vocabulary[1].transform(counts)
                 self._classifier = SceneClassifier(
-                    machine=self._machine, C=COST, seed=self._seed
+                    classifier=self._classifier_name, C=COST, seed=self._seed
                 ).fit(X, y, groups)
             else:
-                rows = np.concatenate(self._found.values).astype(np.float64)
-                machine = make_machine(self._machine, C=COST, seed=self._seed)
-                folds = list(grouped_folds(y, np.array(groups), self._seed))
+                rows = np.concatenate(self._run.values).astype(np.float64)
+                classifier = make_classifier(self._classifier_name, C=COST, seed=self._seed)
+                folds = make_folds(y, groups, N_FOLDS, self._seed)
                 self._classifier = CalibratedClassifierCV(
-                    make_pipeline(StandardScaler(), machine), cv=folds, ensemble=False
+                    make_pipeline(StandardScaler(), classifier), cv=folds, ensemble=False
                 ).fit(rows, y)
-        self._found = Described(self._descriptors[0])
+        self._run = DescriptorRun(self._descriptors[0])
 
     def probabilities(self, frame: DepthFrame, gray: Gray | None) -> Array:
         """Return the probability of each class (C,), sorted by name, of a frame."""
         with self.label.measure():
             values = self._describe(frame, gray)
             if self._is_bag:
-                vocabulary, tf_idf = self._bags
-                numbers = self._found.numbers(values)
-                scene = self._classifier.predict_bag(tf_idf.bag(vocabulary.lookup(numbers)))
+                vocabulary, tf_idf = self._vocabulary
+                words = vocabulary.lookup(self._run.as_float(values))
+                scene = self._classifier.predict_bag(tf_idf.bag(words))
                 return np.asarray(scene.probabilities)
             return np.asarray(self._classifier.predict_proba(values.astype(np.float64))[0])
 
@@ -200,44 +200,47 @@ class DescriptorMethod:
 
         size = len(skops.io.dumps(self._classifier))
         if self._is_bag:
-            size += self._bags[0].words_.nbytes + self._bags[1].idf_.nbytes
+            vocabulary, tf_idf = self._vocabulary
+            size += vocabulary.words_.nbytes + tf_idf.idf_.nbytes
         return size
 
     def _describe(self, frame: DepthFrame, gray: Gray | None) -> NDArray[Any]:
-        found = [descriptor.describe(frame, gray) for descriptor in self._descriptors]
-        return found[0] if len(found) == 1 else np.concatenate(found, axis=1)
+        values = [descriptor.describe(frame, gray) for descriptor in self._descriptors]
+        return values[0] if len(values) == 1 else np.concatenate(values, axis=1)
 
 
 def make_methods(
     names: Sequence[str], *, n_words: int = 1024, seed: int = 0
 ) -> list[ModelMethod | DescriptorMethod]:
-    """Make methods by name: ``ours``, descriptor plug-ins, and ``A+B`` for rows side by side.
+    """Make methods by name.
 
-    ``A:mlp`` has another classifier than the Gaussian support vector machine.
+    A name is ``ours``, that of a descriptor plug-in, or ``A+B`` for the concatenated rows of
+    several; ``A:mlp`` uses another of ``CLASSIFIERS`` than the Gaussian support vector machine.
 
     Raises
     ------
     PluginError
         If there is no such plug-in.
     DatasetError
-        If what is to be put side by side cannot be.
+        If there is no such classifier, or the descriptors cannot be concatenated.
     """
     methods: list[ModelMethod | DescriptorMethod] = []
     for name in names:
         if name == OURS:
             methods.append(ModelMethod(n_words=n_words, seed=seed))
             continue
-        plugins, _, classifier = name.partition(":")
-        machine = next((known for known in MACHINES if known == classifier), None)
-        if classifier and machine is None:
-            expected = ", ".join(MACHINES)
+        plugins, _, suffix = name.partition(":")
+        classifier = next((known for known in CLASSIFIERS if known == suffix), None)
+        if suffix and classifier is None:
+            expected = ", ".join(CLASSIFIERS)
             raise DatasetError(
-                f"method {name!r}: found no classifier {classifier!r}, expected one of {expected}"
+                f"method {name!r}: found no classifier {suffix!r}, expected one of {expected}"
             )
         try:
-            methods.append(
-                DescriptorMethod(plugins.split("+"), n_words=n_words, seed=seed, machine=machine)
+            method = DescriptorMethod(
+                plugins.split("+"), n_words=n_words, seed=seed, classifier=classifier
             )
+            methods.append(method)
         except ValueError as error:
             raise DatasetError(f"method {name!r}: {error}") from error
     return methods

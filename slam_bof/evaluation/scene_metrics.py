@@ -1,4 +1,4 @@
-"""How good scene labels and their probabilities are."""
+"""Metrics of scene labels and their probabilities."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof import evaluation
 from slam_bof.types import Array
 
 __all__ = [
@@ -21,15 +20,16 @@ __all__ = [
     "reliability",
     "roc",
     "scene_accuracy",
-    "score",
+    "scene_scores",
 ]
 
 N_BINS = 15
+"""Number of bins of confidence."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClassScore:
-    """Of one class; None where nothing was labelled so, or nothing is so."""
+    """Metrics of one class; None where no frame was labelled so, or none shows it."""
 
     label: str
     n_frames: int
@@ -40,11 +40,12 @@ class ClassScore:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SceneScores:
-    """Figures of labels with probabilities on N test frames.
+    """Metrics of labels with probabilities on N test frames.
 
-    ``accuracy`` counts frames, ``mean_class_accuracy`` is the mean recall of classes;
-    ``calibration_error`` is the expected calibration error (ECE). ``confusion`` (C, C) counts
-    frames by true class (row) and predicted one (column), both as ``classes``.
+    ``accuracy`` is the share of frames with the right label, ``mean_class_accuracy`` the mean
+    recall of the classes, and ``calibration_error`` the expected calibration error (ECE).
+    ``confusion`` (C, C) counts frames by true class (row) and predicted class (column), both in
+    the order of ``classes``.
     """
 
     classes: tuple[str, ...]
@@ -57,7 +58,7 @@ class SceneScores:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roc:
-    """The curve of one class against all others: (T,) shares, and the area below."""
+    """ROC curve of one class against all others: rates (T,), and the area under the curve."""
 
     label: str
     false_positive: Array
@@ -65,8 +66,8 @@ class Roc:
     auc: float
 
 
-def score(probabilities: Array, true: Sequence[str], classes: Sequence[str]) -> SceneScores:
-    """Judge probabilities (N, C), in the order of ``classes``, by the true labels (N,).
+def scene_scores(probabilities: Array, true: Sequence[str], classes: Sequence[str]) -> SceneScores:
+    """Score probabilities (N, C), in the order of ``classes``, against the true labels (N,).
 
     Raises
     ------
@@ -75,8 +76,8 @@ def score(probabilities: Array, true: Sequence[str], classes: Sequence[str]) -> 
 
     Examples
     --------
-    >>> scores = score(np.array([[0.9, 0.1], [0.6, 0.4]]), ["kitchen", "office"],
-    ...                ["kitchen", "office"])
+    >>> probabilities = np.array([[0.9, 0.1], [0.6, 0.4]])
+    >>> scores = scene_scores(probabilities, ["kitchen", "office"], ["kitchen", "office"])
     >>> scores.accuracy, round(scores.calibration_error, 3), scores.confusion.tolist()
     (0.5, 0.35, [[1, 0], [1, 0]])
     """
@@ -84,29 +85,29 @@ def score(probabilities: Array, true: Sequence[str], classes: Sequence[str]) -> 
         raise ValueError("true must have at least one label, got none")
     names = tuple(classes)
     predicted = [names[k] for k in probabilities.argmax(axis=1)]
-    counts = evaluation.confusion(predicted, true, names)
+    counts = confusion(predicted, true, names)
     right = counts.diagonal()
-    recalls, precisions = (_shares(right, counts.sum(axis=axis)) for axis in (1, 0))
+    recalls, precisions = (_ratios(right, counts.sum(axis=axis)) for axis in (1, 0))
     by_class = []
     for name, n, p, r in zip(names, counts.sum(axis=1), precisions, recalls, strict=True):
         f1 = None if p is None or r is None else (2 * p * r / (p + r) if p + r else 0.0)
         by_class.append(ClassScore(name, int(n), p, r, f1))
     is_right = np.array(predicted) == np.array(true)
     return SceneScores(
-        names,
-        float(is_right.mean()),
-        float(np.mean([r for r in recalls if r is not None])),
-        calibration_error(probabilities.max(axis=1), is_right),
-        tuple(by_class),
-        counts,
+        classes=names,
+        accuracy=float(is_right.mean()),
+        mean_class_accuracy=float(np.mean([r for r in recalls if r is not None])),
+        calibration_error=calibration_error(probabilities.max(axis=1), is_right),
+        by_class=tuple(by_class),
+        confusion=counts,
     )
 
 
 def calibration_error(confidence: Array, is_right: NDArray[np.bool_]) -> float:
     """Return the expected calibration error of N labels (Naeini et al., AAAI 2015), in 15 bins.
 
-    The mean, over labels, of how far the share of right ones in the label's bin of confidence is
-    from the bin's mean confidence.
+    It is the mean absolute difference between the accuracy and the mean confidence of a bin,
+    weighted by the number of labels in the bin.
 
     >>> calibration_error(np.array([0.8, 0.8, 0.8, 0.8, 0.8]), np.array([1, 1, 1, 1, 0], bool))
     0.0
@@ -118,7 +119,7 @@ def calibration_error(confidence: Array, is_right: NDArray[np.bool_]) -> float:
 def reliability(
     confidence: Array, is_right: NDArray[np.bool_]
 ) -> tuple[Array, Array, NDArray[np.intp]]:
-    """Return, for each bin with labels in it: mean confidence, share of right ones, labels."""
+    """Return the mean confidence, accuracy and number of labels of each bin that is not empty."""
     bins = np.minimum((confidence * N_BINS).astype(np.intp), N_BINS - 1)
     counts = np.bincount(bins, minlength=N_BINS)
     used = counts > 0
@@ -141,7 +142,7 @@ def roc(probabilities: Array, true: Sequence[str], classes: Sequence[str]) -> li
     return curves
 
 
-def _shares(counts: NDArray[np.int64], totals: NDArray[Any]) -> list[float | None]:
+def _ratios(counts: NDArray[np.int64], totals: NDArray[Any]) -> list[float | None]:
     pairs = zip(counts.tolist(), totals.tolist(), strict=True)
     return [count / total if total else None for count, total in pairs]
 
@@ -149,10 +150,10 @@ def _shares(counts: NDArray[np.int64], totals: NDArray[Any]) -> list[float | Non
 def scene_accuracy(
     predicted: Sequence[str | None], true: Sequence[str | None] | None
 ) -> float | None:
-    """Return the share of frames with the right label, of those whose true one is known.
+    """Return the share of right labels among the frames whose true label is known.
 
-    None where there are no labels on either side; a single label missing (None) counts as
-    wrong.
+    A frame without a predicted label (None) counts as wrong. The result is None where no frame has
+    a predicted label, or none a true one.
 
     >>> scene_accuracy(["office", "kitchen", None, "office"], ["office", "office", "office", None])
     0.3333333333333333

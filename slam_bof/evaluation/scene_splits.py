@@ -1,8 +1,8 @@
-"""Which frames train a scene classifier and which test it, by the protocols' names.
+"""Splits of frames into training and test frames.
 
-``holdout`` draws frames at random, so that almost every test frame has a neighbour in time that
-was trained on (the paper's Table 2). ``time-split`` trains on the beginning of each sequence and
-tests on its end, with a gap between.
+The protocol ``holdout`` draws frames at random, so that almost every test frame has a training
+frame next to it in time (the paper's Table 2). The protocol ``time-split`` trains on the beginning
+of each sequence and tests on its end, with a gap between them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Split:
     test: list[LabelledFrame]
 
     def check(self) -> None:
-        """Raise ``DatasetError`` unless it can be trained with, and tested."""
+        """Raise ``DatasetError`` unless there are enough frames to train and to test with."""
         classes = {frame.label for frame in self.train}
         if len(classes) < 2:
             found = ", ".join(sorted(classes)) or "none"
@@ -65,8 +65,8 @@ def split_by_time(
 ) -> Split:
     """Train with the first share of each sequence, test with the last one.
 
-    Of the test frames, those less than ``gap_s`` seconds after the last frame trained with are
-    left out; where that would leave less than half of them, ``gap_share`` of the sequence.
+    Test frames less than ``gap_s`` seconds after the last training frame are left out. Where that
+    would leave less than half of them, the gap is ``gap_share`` of the sequence's duration.
     """
     split = Split([], [])
     for of_sequence in _by_sequence(frames):

@@ -1,7 +1,7 @@
-"""How good a run was: trajectory errors, loops, scene labels, retrieval.
+"""Trajectory errors: absolute trajectory error (ATE) and relative pose error (RPE).
 
-Trajectories are compared with their ground truth by time stamp, and only where the ground
-truth is known (not NaN). ATE and RPE are those of evo: ``evo_ape tum REF EST -a`` and
+Trajectories are compared with ground truth by time stamp, and only where the ground truth is known
+(not NaN). ATE and RPE agree with evo: ``evo_ape tum REF EST -a`` and
 ``evo_rpe tum REF EST --delta 30 --all_pairs``.
 """
 
@@ -19,7 +19,7 @@ __all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "rpe"]
 
 MAX_DIFFERENCE_S = 0.01
 MIN_POSES = 3
-"""With fewer, an alignment leaves no error to measure."""
+"""Least number of poses; an alignment of fewer leaves no error to measure."""
 
 Indices = NDArray[np.intp]
 
@@ -38,10 +38,10 @@ class ErrorStats:
 def associate(
     estimate: Trajectory, reference: Trajectory, max_difference_s: float = MAX_DIFFERENCE_S
 ) -> tuple[Indices, Indices]:
-    """Pair the poses of two trajectories by time, as evo does.
+    """Associate the poses of two trajectories by time, as evo does.
 
-    Each pose of the shorter trajectory gets the one nearest in time of the longer; reference
-    poses that are NaN do not take part.
+    Each pose of the shorter trajectory is paired with the pose of the longer that is nearest in
+    time. Reference poses that are NaN are ignored.
 
     Returns
     -------
@@ -114,8 +114,8 @@ def rpe(
 ) -> float | None:
     """Measure the relative pose error: RMSE in metres of the drift over ``n_frames``.
 
-    The translation of ``(Q_a^-1 Q_b)^-1 (P_a^-1 P_b)`` over all pairs of associated poses that
-    many apart; None where there is no such pair.
+    It is the translation of ``(Q_a^-1 Q_b)^-1 (P_a^-1 P_b)`` over all pairs of associated poses
+    that are ``n_frames`` apart; None where there is no such pair.
     """
     i, j = associate(estimate, reference, max_difference_s)
     if len(i) <= n_frames:

@@ -6,16 +6,22 @@ from .camera import (
     points_camera_f32 as points_camera_f32,
 )
 from .depth_view import (
-    View as View,
-    in_steps as in_steps,
+    DepthView as DepthView,
     make_view as make_view,
-    thicken as thicken,
-    thin as thin,
+    quantize_depth as quantize_depth,
+    restore_frame as restore_frame,
+    subsample as subsample,
     view_points as view_points,
     view_stride as view_stride,
 )
 from .frustum import (
     view_overlap as view_overlap,
+)
+from .g2o import (
+    GraphEdge as GraphEdge,
+    loop_information as loop_information,
+    step_sigmas as step_sigmas,
+    write_g2o as write_g2o,
 )
 from .gravity import (
     GravityTracker as GravityTracker,
@@ -35,8 +41,8 @@ from .projective_icp import (
     ViewAligner as ViewAligner,
 )
 from .registration_quality import (
-    JudgementParams as JudgementParams,
-    judge as judge,
+    RegistrationQualityParams as RegistrationQualityParams,
+    assess_registration as assess_registration,
     reject as reject,
 )
 from .trajectory import (

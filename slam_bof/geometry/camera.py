@@ -17,9 +17,9 @@ __all__ = ["PointParams", "back_project", "points_camera", "points_camera_f32"]
 class PointParams(Params):
     """Which pixels become points."""
 
-    stride: int = Field(2, gt=0, description="every so many pixels, in each direction")
-    min_range_m: float = Field(0.1, ge=0, description="nearer depths are dropped")
-    max_range_m: float = Field(8.0, gt=0, description="farther depths are dropped")
+    stride: int = Field(2, gt=0, description="Step between the pixels used, in rows and columns.")
+    min_range_m: float = Field(0.1, ge=0, description="Smallest depth used.")
+    max_range_m: float = Field(8.0, gt=0, description="Largest depth used.")
 
     @model_validator(mode="after")
     def _check_order(self) -> Self:

@@ -9,9 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry.camera import PointParams, points_camera_f32
-from slam_bof.types import DepthFrame, Intrinsics, ThinDepth
+from slam_bof.types import DepthFrame, Intrinsics, SubsampledDepth
 
-__all__ = ["View", "in_steps", "make_view", "thicken", "thin", "view_points", "view_stride"]
+__all__ = [
+    "DepthView",
+    "make_view",
+    "quantize_depth",
+    "restore_frame",
+    "subsample",
+    "view_points",
+    "view_stride",
+]
 
 WIDTH_PX = 160
 """About so wide is the image that points are taken of; a view has every second of its pixels."""
@@ -25,7 +33,7 @@ MAX_SLOPE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class DepthView:
     """Every few pixels of a depth image.
 
     ``depth_m`` (h, w) and ``normals_camera`` (h, w, 3), towards the camera, are float32, zero
@@ -45,12 +53,12 @@ class View:
         return np.asarray(self.normals_camera[self.normals_camera.any(axis=-1)])
 
 
-@lru_cache(maxsize=1)
-def make_view(frame: DepthFrame) -> View:
-    """Return the small view of a frame, read-only.
+def make_view(frame: DepthFrame) -> DepthView:
+    """Return the small view of a frame, read-only; it is computed once and kept with the frame."""
+    return frame.derive(_make_view)
 
-    The last one is kept: tracking, recognition and verification each look at the same frame.
-    """
+
+def _make_view(frame: DepthFrame) -> DepthView:
     stride = 2 * view_stride(frame.intrinsics)
     depth_m = frame.depth_m(stride)
     depth_m[(depth_m < MIN_RANGE_M) | (depth_m > MAX_RANGE_M)] = 0.0
@@ -58,18 +66,24 @@ def make_view(frame: DepthFrame) -> View:
     normals = surface_normals(_rays(camera) * depth_m[..., None])
     for shared in (depth_m, normals):
         shared.setflags(write=False)
-    return View(depth_m, normals, camera)
+    return DepthView(depth_m, normals, camera)
 
 
 def view_points(frame: DepthFrame) -> NDArray[np.float32]:
-    """Return the frame's points (N, 3) of a grid twice as fine as its view's."""
+    """Return the points (N, 3) of a grid twice as fine as the view; computed once for a frame."""
+    return frame.derive(_view_points)
+
+
+def _view_points(frame: DepthFrame) -> NDArray[np.float32]:
     fine = PointParams(
         stride=view_stride(frame.intrinsics), min_range_m=MIN_RANGE_M, max_range_m=MAX_RANGE_M
     )
-    return points_camera_f32(frame, fine)
+    points = points_camera_f32(frame, fine)
+    points.setflags(write=False)
+    return points
 
 
-def in_steps(frame: DepthFrame) -> DepthFrame:
+def quantize_depth(frame: DepthFrame) -> DepthFrame:
     """Return the frame with depths as the map can keep them: those in metres are rounded.
 
     So a map that is loaded again sees to the bit what was seen when it was made.
@@ -81,26 +95,26 @@ def in_steps(frame: DepthFrame) -> DepthFrame:
     return replace(frame, depth=depth)
 
 
-def thin(frame: DepthFrame) -> ThinDepth:
-    """Return those pixels of a frame, as ``in_steps`` makes it, that views are made of."""
+def subsample(frame: DepthFrame) -> SubsampledDepth:
+    """Return those pixels of a frame, as ``quantize_depth`` makes it, that views are made of."""
     stride = view_stride(frame.intrinsics)
     metres = frame.depth_m(stride)
     per_m = 1000 if frame.depth.dtype == np.uint16 else STEPS_PER_M
     steps = np.rint(metres * np.float32(per_m))
     steps[(metres < MIN_RANGE_M) | (metres > MAX_RANGE_M)] = 0
-    return ThinDepth(steps.astype(np.uint16), per_m, frame.intrinsics)
+    return SubsampledDepth(steps.astype(np.uint16), per_m, frame.intrinsics)
 
 
-def thicken(thin: ThinDepth, stamp_s: float = 0.0) -> DepthFrame:
+def restore_frame(subsample: SubsampledDepth, stamp_s: float = 0.0) -> DepthFrame:
     """Return a frame that has the pixels kept and no others: its views are the same."""
-    camera = thin.intrinsics
+    camera = subsample.intrinsics
     stride = view_stride(camera)
-    if thin.per_m == 1000:
+    if subsample.per_m == 1000:
         depth = np.zeros((camera.height, camera.width), np.uint16)
-        depth[::stride, ::stride] = thin.depth
+        depth[::stride, ::stride] = subsample.depth
     else:
         depth = np.zeros((camera.height, camera.width), np.float32)
-        depth[::stride, ::stride] = thin.depth / np.float32(thin.per_m)
+        depth[::stride, ::stride] = subsample.depth / np.float32(subsample.per_m)
     return DepthFrame(stamp_s, depth, camera)
 
 

@@ -18,9 +18,9 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from slam_bof.geometry import se3
-from slam_bof.geometry.depth_view import View
+from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
-from slam_bof.geometry.visibility import Agreement, Coverage, agreement, coverage, tell
+from slam_bof.geometry.visibility import Agreement, Coverage, agreement, classify_points, coverage
 from slam_bof.types import Array, Params
 
 __all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
@@ -42,21 +42,75 @@ CHUNK = 2**15
 class AlignmentParams(Params):
     """How hard a pose is searched for, and what counts as seeing the same."""
 
-    n_points: int = Field(400, gt=0, description="of a view that ICP and agreement look at")
-    n_search_points: int = Field(100, gt=0, description="of which so many score a random pose")
-    n_coarse_score_points: int = Field(400, gt=0, description="that score poses before ICP")
-    n_poses: int = Field(32, gt=0, description="random poses about each start, in a round")
-    n_rounds: int = Field(3, gt=0, description="each about the two best, half as far")
-    sigma_deg: tuple[float, float, float] = Field((6.0, 7.0, 5.0), description="about x, y, z")
-    sigma_m: tuple[float, float, float] = Field((0.25, 0.15, 0.25), description="along x, y, z")
-    search_tolerance: tuple[float, float] = Field((0.1, 0.03), description="m, and share of depth")
-    n_iterations: int = Field(12, gt=0, description="of ICP")
-    n_fine_iterations: int = Field(8, ge=0, description="of which the last look at all points")
-    n_coarse_points: int = Field(1000, gt=0, description="that the others look at")
-    gates_m: tuple[float, float] = Field((0.3, 0.1), description="of ICP, first and last")
-    rest: float = Field(1e-3, ge=0, description="rad and m; who moves less waits for ...")
-    n_last_iterations: int = Field(2, ge=0, description="... so many iterations at the end")
-    tolerance: tuple[float, float] = Field((0.05, 0.02), description="m, and share of depth")
+    n_points: int = Field(
+        400,
+        gt=0,
+        description="Number of points of a view that ICP and agreement use.",
+    )
+    n_search_points: int = Field(
+        100,
+        gt=0,
+        description="Number of points that score a random pose.",
+    )
+    n_coarse_score_points: int = Field(
+        400,
+        gt=0,
+        description="Number of points that score a pose before ICP.",
+    )
+    n_poses: int = Field(
+        32,
+        gt=0,
+        description="Number of random poses around each start in a round.",
+    )
+    n_rounds: int = Field(
+        3,
+        gt=0,
+        description="Number of rounds, each around the two best poses with half the spread.",
+    )
+    sigma_deg: tuple[float, float, float] = Field(
+        (6.0, 7.0, 5.0),
+        description="Standard deviations of random rotations about x, y and z, in degrees.",
+    )
+    sigma_m: tuple[float, float, float] = Field(
+        (0.25, 0.15, 0.25),
+        description="Standard deviations of random translations along x, y and z, in m.",
+    )
+    search_tolerance: tuple[float, float] = Field(
+        (0.1, 0.03),
+        description="Depth difference that the search tolerates, in m and as a share of depth.",
+    )
+    n_iterations: int = Field(12, gt=0, description="Number of ICP iterations.")
+    n_fine_iterations: int = Field(
+        8,
+        ge=0,
+        description="Number of iterations at the end that use all points.",
+    )
+    n_coarse_points: int = Field(
+        1000,
+        gt=0,
+        description="Number of points that the other iterations use.",
+    )
+    gates_m: tuple[float, float] = Field(
+        (0.3, 0.1),
+        description="Largest residual of a correspondence in the first and the last iteration, in "
+        "m.",
+    )
+    min_step: float = Field(
+        1e-3,
+        ge=0,
+        description="Pairs that move by less than this, in rad and m, rest until the last "
+        "iterations.",
+    )
+    n_final_iterations: int = Field(
+        2,
+        ge=0,
+        description="Number of iterations at the end in which all pairs move.",
+    )
+    tolerance: tuple[float, float] = Field(
+        (0.05, 0.02),
+        description="Depth difference at which a point counts as an inlier, in m and as a share of "
+        "depth.",
+    )
 
 
 class SurfacePairs(NamedTuple):
@@ -95,7 +149,7 @@ class ViewAligner:
         self._views = ViewStack(params.n_points, seed=seed)
         self._motions = _random_motions(params, seed)
 
-    def add(self, view: View) -> None:
+    def add(self, view: DepthView) -> None:
         """Hold another view; ids count from 0.
 
         Raises
@@ -141,7 +195,7 @@ class ViewAligner:
         for k, gate_m in enumerate(np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32)):
             fine = k >= p.n_iterations - p.n_fine_iterations
             n_points = p.n_points if fine else min(p.n_points, p.n_coarse_points)
-            if k >= p.n_iterations - p.n_last_iterations:
+            if k >= p.n_iterations - p.n_final_iterations:
                 moving[:] = True
             left = np.flatnonzero(moving)
             for some in _chunks(len(left), n_points):
@@ -149,7 +203,7 @@ class ViewAligner:
                 found = self._associate(query, matches[pairs], T[pairs], gate_m, n_points)
                 steps = _step(found, gate_m)
                 T[pairs] = _exp(steps) @ T[pairs]
-                moving[pairs] = np.abs(steps).max(axis=1) > p.rest
+                moving[pairs] = np.abs(steps).max(axis=1) > p.min_step
         return T.astype(np.float64)
 
     def surface_pairs(
@@ -181,12 +235,14 @@ class ViewAligner:
         points = self._views.sampled(query, self.params.n_coarse_score_points)
         return self._score(points, matches, poses.astype(np.float32), tolerance)
 
-    def seen(self, query: int, matches: Indices, T_match_query: Array) -> tuple[Floats, Floats]:
+    def inlier_ratio(
+        self, query: int, matches: Indices, T_match_query: Array
+    ) -> tuple[Floats, Floats]:
         """Return the shares (n,) of the query's points that each match sees, and that block it."""
         points = self._views.sampled(query)
         T = T_match_query.astype(np.float32)
-        told = tell(self._views, points, matches, T, self.params.tolerance)
-        return told.seen.mean(axis=1), told.blocking.mean(axis=1)
+        visibility = classify_points(self._views, points, matches, T, self.params.tolerance)
+        return visibility.inlier.mean(axis=1), visibility.violating.mean(axis=1)
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
@@ -213,19 +269,19 @@ class ViewAligner:
     def _score(self, points: Floats, matches: Indices, poses: Floats, tolerance: Floats) -> Floats:
         """Score poses (n, P, 4, 4): points at the depth that is there count, blocking ones cost."""
         n, n_poses = poses.shape[:2]
-        fallen = self._views.fall(points, poses.reshape(-1, 4, 4))
-        there, _ = self._views.look(np.repeat(matches, n_poses), fallen)
+        projected = self._views.project_points(points, poses.reshape(-1, 4, 4))
+        there, _ = self._views.depth_at(np.repeat(matches, n_poses), projected)
         known = there > 0
-        off = fallen.depth_m
+        off = projected.depth_m
         off -= there
         there *= tolerance[1]
         there += tolerance[0]
         off /= there
-        blocking = off < -1.0
+        free_space_violation = off < -1.0
         worth = np.abs(off, out=off)
         np.subtract(np.float32(1.0), worth, out=worth)
         np.maximum(worth, np.float32(0.0), out=worth)
-        worth -= np.float32(0.5) * blocking
+        worth -= np.float32(0.5) * free_space_violation
         worth *= known
         return np.asarray(worth.mean(axis=1).reshape(n, n_poses))
 
@@ -234,8 +290,8 @@ class ViewAligner:
     ) -> _Association:
         """Pair the query's surface points with what the others see at the pixels they fall on."""
         points, facing = self._views.surface(query, n_points)
-        fallen = self._views.fall(points, T)
-        gap, normals = self._views.surface_there(matches, fallen)
+        projected = self._views.project_points(points, T)
+        gap, normals = self._views.surface_at(matches, projected)
         moved = _rotate(T, points)
         moved += T[:, :3, 3:]
         gap -= moved
@@ -243,7 +299,7 @@ class ViewAligner:
         turned = _rotate(T, facing)
         # Where nothing is known the normal is zero, and so is the cosine.
         matched = _dot(normals, turned) > MIN_COSINE
-        matched &= fallen.inside
+        matched &= projected.inside
         matched &= _dot(gap, gap) < 4.0 * gate_m**2
         matched &= np.abs(residuals_m) < gate_m
         return _Association(moved, turned, normals, residuals_m, matched)

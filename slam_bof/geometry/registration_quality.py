@@ -7,26 +7,40 @@ from pydantic import Field
 
 from slam_bof.types import Array, Params, Pose, Verification
 
-__all__ = ["JudgementParams", "judge", "reject"]
+__all__ = ["RegistrationQualityParams", "assess_registration", "reject"]
 
 
-class JudgementParams(Params):
+class RegistrationQualityParams(Params):
     """What two views of the same surfaces must have in common."""
 
-    min_overlap: float = Field(0.35, ge=0, le=1)
-    min_overlap_global: float = Field(0.6, ge=0, le=1, description="where no guess was given")
-    max_rmse_m: float = Field(0.05, gt=0)
+    min_overlap: float = Field(
+        0.35,
+        ge=0,
+        le=1,
+        description="Smallest share of points with a match.",
+    )
+    min_overlap_global: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="The same where registration started without a guess.",
+    )
+    max_rmse_m: float = Field(
+        0.05,
+        gt=0,
+        description="Largest root mean square of point-to-plane residuals, in m.",
+    )
 
 
-def judge(
-    params: JudgementParams,
+def assess_registration(
+    params: RegistrationQualityParams,
     T_match_query: Pose,
     residuals_m: Array,
     information: Array,
     *,
     overlap: float,
     guessed: bool,
-    objection: str = "",
+    reason_against: str = "",
 ) -> Verification:
     """Judge an alignment by the points that it brings onto the match's surfaces.
 
@@ -44,7 +58,7 @@ def judge(
         Share of the query's points that the match sees too.
     guessed
         Whether the alignment started from a guess; else more overlap is asked.
-    objection
+    reason_against
         What else there is against it, in words.
     """
     if len(residuals_m) == 0:
@@ -54,8 +68,8 @@ def judge(
     reason = ""
     if overlap < min_overlap:
         reason = f"overlap {overlap:.2f} below {min_overlap:g}"
-    elif objection:
-        reason = objection
+    elif reason_against:
+        reason = reason_against
     elif rmse_m > params.max_rmse_m:
         reason = f"residual {rmse_m:.3f} m above {params.max_rmse_m:g} m"
     return Verification(not reason, reason, T_match_query, overlap, rmse_m, information)

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import Stack
-from slam_bof.geometry.depth_view import View
+from slam_bof.core import GrowingArray
+from slam_bof.geometry.depth_view import DepthView
 from slam_bof.types import Intrinsics
 
-__all__ = ["Fallen", "Floats", "Indices", "ViewStack"]
+__all__ = ["Floats", "Indices", "ProjectedPoints", "ViewStack"]
 
 Indices = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
@@ -26,7 +26,7 @@ NORMAL_STEPS = 127
 """A normal is kept in bytes, each coordinate in so many steps."""
 
 
-class Fallen(NamedTuple):
+class ProjectedPoints(NamedTuple):
     """Where points fall in an image, each (n, m)."""
 
     column: Floats
@@ -45,13 +45,13 @@ class ViewStack:
         self._seed = seed
         self._camera: Intrinsics | None = None
         self._rays: NDArray[np.float32]
-        self._depths_m: Stack
-        self._normals: Stack
-        self._sampled: Stack
-        self._surface: Stack
+        self._depths_m: GrowingArray
+        self._normals: GrowingArray
+        self._sampled: GrowingArray
+        self._surface: GrowingArray
         self._order: Indices
 
-    def add(self, view: View) -> None:
+    def add(self, view: DepthView) -> None:
         """Hold another view; ids count from 0.
 
         Raises
@@ -63,10 +63,10 @@ class ViewStack:
             n_pixels = view.depth_m.size
             self._camera = view.intrinsics
             self._rays = view.rays().reshape(-1, 3)
-            self._depths_m = Stack((n_pixels,), np.float32)
-            self._normals = Stack((n_pixels, 3), np.int8)
-            self._sampled = Stack((self.n_points,), np.int32)
-            self._surface = Stack((self.n_points,), np.int32)
+            self._depths_m = GrowingArray((n_pixels,), np.float32)
+            self._normals = GrowingArray((n_pixels, 3), np.int8)
+            self._sampled = GrowingArray((self.n_points,), np.int32)
+            self._surface = GrowingArray((self.n_points,), np.int32)
             self._order = np.random.default_rng(self._seed).permutation(n_pixels)
         if view.intrinsics != self._camera:
             raise ValueError(f"views must be of {self._camera}, got {view.intrinsics}")
@@ -125,7 +125,7 @@ class ViewStack:
         """Return points (m, 3) of a view, or (n, m, 3) of views (n,), where it has normals."""
         return self._points(np.asarray(views)[..., None], self._surface.rows[views])
 
-    def fall(self, points: Floats, T: Floats) -> Fallen:
+    def project_points(self, points: Floats, T: Floats) -> ProjectedPoints:
         """Return where points (m, 3), or (n, m, 3), fall in images from poses (n, 4, 4)."""
         assert self._camera is not None
         camera = self._camera
@@ -149,32 +149,32 @@ class ViewStack:
         inside &= column < camera.width
         inside &= row >= 0
         inside &= row < camera.height
-        return Fallen(column, row, depth, inside)
+        return ProjectedPoints(column, row, depth, inside)
 
-    def look(self, views: int | Indices, fallen: Fallen) -> tuple[Floats, Indices]:
+    def depth_at(self, views: int | Indices, projected: ProjectedPoints) -> tuple[Floats, Indices]:
         """Return the depths (n, m) that views (n,) have there, 0 outside, and their addresses.
 
         ``take`` from flat arrays is three times as fast as indexing by views and pixels.
         """
         assert self._camera is not None
-        pixels = fallen.row * np.float32(self._camera.width)
-        pixels += fallen.column
-        pixels *= fallen.inside
+        pixels = projected.row * np.float32(self._camera.width)
+        pixels += projected.column
+        pixels *= projected.inside
         addresses = pixels.astype(np.intp)
         addresses += np.asarray(views)[..., None] * len(self._rays)
         depth_m = self._depths_m.rows.reshape(-1).take(addresses)
-        depth_m *= fallen.inside
+        depth_m *= projected.inside
         return depth_m, addresses
 
-    def surface_there(self, views: Indices, fallen: Fallen) -> tuple[Floats, Floats]:
+    def surface_at(self, views: Indices, projected: ProjectedPoints) -> tuple[Floats, Floats]:
         """Return points and normals (n, 3, m) that views (n,) have there."""
         assert self._camera is not None
         camera = self._camera
-        depth, addresses = self.look(views, fallen)
+        depth, addresses = self.depth_at(views, projected)
         points = np.empty((len(views), 3, depth.shape[1]), np.float32)
         for k, along, focal, centre in (
-            (0, fallen.column, camera.fx, camera.cx),
-            (1, fallen.row, camera.fy, camera.cy),
+            (0, projected.column, camera.fx, camera.cx),
+            (1, projected.row, camera.fy, camera.cy),
         ):
             np.subtract(along, np.float32(centre), out=points[:, k])
             points[:, k] *= np.float32(1.0 / focal)

@@ -68,7 +68,7 @@ class CloudCamera:
         """Go on with the camera that earlier clouds were seen through."""
         self._intrinsics, self._is_around = intrinsics, is_around
 
-    def look(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Seen:
+    def observe(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Seen:
         """Return the view of a cloud.
 
         Parameters

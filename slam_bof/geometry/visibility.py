@@ -13,10 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.geometry.view_stack import Fallen, Floats, Indices, ViewStack
+from slam_bof.geometry.view_stack import Floats, Indices, ProjectedPoints, ViewStack
 from slam_bof.types import Array
 
-__all__ = ["Agreement", "Coverage", "Scores", "Told", "agreement", "coverage", "scores", "tell"]
+__all__ = [
+    "Agreement",
+    "Coverage",
+    "PointVisibility",
+    "Scores",
+    "agreement",
+    "classify_points",
+    "coverage",
+    "scores",
+]
 
 BLOCKS = 8, 6
 """Columns and rows of blocks that an image is cut into to see how agreement varies."""
@@ -27,50 +36,50 @@ SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
 class Agreement(NamedTuple):
     """How far a view agrees with others, each (n,)."""
 
-    seen: Floats
+    inlier_ratio: Floats
     """Share of a view's points that the other sees too; the smaller of both ways."""
-    blocking: Floats
+    free_space_violation: Floats
     """Share of its points that would block what the other sees; both ways added."""
-    compared: Floats
+    visible_ratio: Floats
     """Share of its points that fall where the other has a depth at all; the smaller."""
 
 
 class Coverage(NamedTuple):
     """How far a view agrees with many others taken together."""
 
-    compared: float
+    visible_ratio: float
     """Share of its points that fall where any of the others has a depth."""
-    seen: float
+    inlier_ratio: float
     """Of these, the share that any of the others sees too."""
-    blocking: float
+    free_space_violation: float
     """Of these, the share that stands in front of what more of the others see than see it."""
-    blocked: float
+    free_space_violation_reverse: float
     """Of the others' points that fall where the view has a depth, the share in front of it."""
 
 
-class Told(NamedTuple):
+class PointVisibility(NamedTuple):
     """What others tell of points, each (n, m) bool."""
 
-    seen: NDArray[np.bool_]
-    blocking: NDArray[np.bool_]
-    known: NDArray[np.bool_]
+    inlier: NDArray[np.bool_]
+    violating: NDArray[np.bool_]
+    visible: NDArray[np.bool_]
     """Whether the other has a depth there at all."""
 
 
-def tell(
+def classify_points(
     views: ViewStack, points: Floats, frames: Indices, T: Floats, tolerance: tuple[float, float]
-) -> Told:
+) -> PointVisibility:
     """Tell of points (m, 3), or (n, m, 3), what the frames (n,) see of them at poses (n, 4, 4).
 
     ``tolerance`` is of depth: metres, and a share of it.
     """
-    fallen = views.fall(points, T)
-    there, _ = views.look(frames, fallen)
+    projected = views.project_points(points, T)
+    there, _ = views.depth_at(frames, projected)
     known = there > 0
-    off = fallen.depth_m - there
+    off = projected.depth_m - there
     fixed, share = tolerance
-    allowed = fixed + share * fallen.depth_m
-    return Told(known & (np.abs(off) < allowed), known & (off < -allowed), known)
+    allowed = fixed + share * projected.depth_m
+    return PointVisibility(known & (np.abs(off) < allowed), known & (off < -allowed), known)
 
 
 MIN_FACING = 0.1
@@ -79,22 +88,22 @@ MIN_FACING = 0.1
 
 def _depth_beyond(
     views: ViewStack, points: Floats, frames: Indices, T: Floats
-) -> tuple[Floats, Fallen, NDArray[np.bool_]]:
+) -> tuple[Floats, ProjectedPoints, NDArray[np.bool_]]:
     """Return by how much points (m, 3) lie beyond the surfaces of frames (n,), and where known.
 
     A surface is continued from the centre of its pixel to where the point falls: on a floor seen at
     a flat angle half a pixel is decimetres of depth, and whole pixels would seem to agree best.
     """
-    fallen = views.fall(points, T)
-    surface, normals = views.surface_there(frames, fallen)
+    projected = views.project_points(points, T)
+    surface, normals = views.surface_at(frames, projected)
     there = surface[:, 2]
     moved = T[:, :3, :3] @ points.T + T[:, :3, 3:]
     beyond = ((moved - surface) * normals).sum(axis=1)
     towards = (moved * normals).sum(axis=1)
-    towards /= np.maximum(fallen.depth_m, np.float32(1e-3))
-    off = fallen.depth_m - there
+    towards /= np.maximum(projected.depth_m, np.float32(1e-3))
+    off = projected.depth_m - there
     np.divide(beyond, towards, out=off, where=np.abs(towards) > MIN_FACING)
-    return off, fallen, there > 0
+    return off, projected, there > 0
 
 
 class Scores(NamedTuple):
@@ -122,10 +131,10 @@ def scores(
         (match, query, se3.inverse(T_match_query)),
     ):
         points = views.sampled(own, n_points)
-        off, fallen, seen = _depth_beyond(views, points, np.full(n, other), T.astype(np.float32))
+        off, projected, seen = _depth_beyond(views, points, np.full(n, other), T.astype(np.float32))
         total = np.zeros(off.shape, np.float32)
         for fixed, share in SCORE_TOLERANCES:
-            allowed = fixed + share * fallen.depth_m
+            allowed = fixed + share * projected.depth_m
             total += np.abs(off) < allowed
             total -= np.float32(0.5) * (off < -allowed)
         total *= seen / np.float32(len(SCORE_TOLERANCES))
@@ -162,12 +171,16 @@ def agreement(
     """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
     points = views.sampled(query), views.sampled(matches)
     out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
-    seen, blocking, compared = (told.mean(axis=1) for told in out)
-    seen_back, blocking_back, compared_back = (told.mean(axis=1) for told in back)
+    inlier_ratio, free_space_violation, visible_ratio = (
+        visibility.mean(axis=1) for visibility in out
+    )
+    inlier_ratio_reverse, free_space_violation_reverse, visible_ratio_reverse = (
+        visibility.mean(axis=1) for visibility in back
+    )
     return Agreement(
-        np.minimum(seen, seen_back),
-        blocking + blocking_back,
-        np.minimum(compared, compared_back),
+        np.minimum(inlier_ratio, inlier_ratio_reverse),
+        free_space_violation + free_space_violation_reverse,
+        np.minimum(visible_ratio, visible_ratio_reverse),
     )
 
 
@@ -185,14 +198,14 @@ def coverage(
     """
     points = views.surface_points(query), views.surface_points(matches)
     out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
-    n_seen, n_blocking, n_known = (told.sum(axis=0) for told in out)
-    compared = float((n_known > 0).mean())
-    n_compared = max(int((n_known > 0).sum()), 1)
+    n_inliers, n_violations, n_visible = (visibility.sum(axis=0) for visibility in out)
+    visible_ratio = float((n_visible > 0).mean())
+    n_visible_points = max(int((n_visible > 0).sum()), 1)
     return Coverage(
-        compared,
-        float((n_seen > 0).sum() / n_compared),
-        float((n_blocking > n_seen).sum() / n_compared),
-        float(back.blocking.sum() / max(int(back.known.sum()), 1)),
+        visible_ratio,
+        float((n_inliers > 0).sum() / n_visible_points),
+        float((n_violations > n_inliers).sum() / n_visible_points),
+        float(back.violating.sum() / max(int(back.visible.sum()), 1)),
     )
 
 
@@ -203,13 +216,13 @@ def _both_ways(
     T_match_query: Array,
     tolerance: tuple[float, float],
     points: tuple[Floats, Floats],
-) -> tuple[Told, Told]:
+) -> tuple[PointVisibility, PointVisibility]:
     """Return what the matches tell of the query's points, and what it tells of theirs."""
     own, theirs = points
     T = T_match_query.astype(np.float32)
     back = se3.inverse(T_match_query).astype(np.float32)
     asked = np.full(len(matches), query)
     return (
-        tell(views, own, matches, T, tolerance),
-        tell(views, theirs, asked, back, tolerance),
+        classify_points(views, own, matches, T, tolerance),
+        classify_points(views, theirs, asked, back, tolerance),
     )

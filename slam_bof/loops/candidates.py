@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from slam_bof.bof import InvertedIndex
 from slam_bof.loops.params import LoopParams
 from slam_bof.places import PlaceRecogniser
-from slam_bof.types import Candidate, DepthFrame, Keyframe, Pose
+from slam_bof.types import Candidate, CandidateSource, Decision, DepthFrame, Keyframe, Pose
 
 __all__ = ["BagRanking", "Found", "Ranking", "ViewRanking"]
 
@@ -40,7 +40,7 @@ class Ranking(Protocol):
     def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
         """Take a keyframe without asking."""
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Find others rather than the one ranked last."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
@@ -74,7 +74,12 @@ class BagRanking:
                 score = float(scores[best])
                 eta = score / normaliser if normaliser > 0.0 else np.inf
                 candidate = Candidate(
-                    keyframe.id, best, "bag", score=score, normaliser=normaliser, eta=eta
+                    keyframe.id,
+                    best,
+                    CandidateSource.BAG,
+                    score=score,
+                    normaliser=normaliser,
+                    eta=eta,
                 )
                 found.candidates.append(self._judge(candidate))
         self.remember(keyframe, frame)
@@ -85,7 +90,7 @@ class BagRanking:
         self._index.add(keyframe.bag)
         self._stamps_s.append(keyframe.stamp_s)
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Do nothing: the paper's index holds all."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
@@ -107,7 +112,7 @@ class BagRanking:
             reason = f"eta {candidate.eta:.3f} below {p.lower_threshold:g}"
         else:
             return candidate
-        return replace(candidate, decision="rejected", reason=reason)
+        return replace(candidate, decision=Decision.REJECTED, reason=reason)
 
 
 class ViewRanking:
@@ -127,10 +132,12 @@ class ViewRanking:
         candidates = []
         for best in _maxima(scores, p):
             match = matches[best]
-            candidate = Candidate(keyframe.id, best, "view", score=match.score)
-            if match.seen < p.min_seen:
-                reason = f"both see {match.seen:.2f} of the other, below {p.min_seen:g}"
-                candidate = replace(candidate, decision="rejected", reason=reason)
+            candidate = Candidate(keyframe.id, best, CandidateSource.VIEW, score=match.score)
+            if match.inlier_ratio < p.min_inlier_ratio:
+                reason = (
+                    f"both see {match.inlier_ratio:.2f} of the other, below {p.min_inlier_ratio:g}"
+                )
+                candidate = replace(candidate, decision=Decision.REJECTED, reason=reason)
             candidates.append(candidate)
         return Found(
             candidates, {c.match_id: matches[c.match_id].T_match_query for c in candidates}
@@ -140,9 +147,9 @@ class ViewRanking:
         """Hold the keyframe's view."""
         self._recogniser.add(frame, keyframe.T_odom_camera)
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Leave the view ranked last out of later searches."""
-        self._recogniser.set_aside()
+        self._recogniser.deactivate()
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Expect another direction of gravity; matches so far lead nowhere."""

@@ -1,8 +1,10 @@
-"""When loops may join two parts of the map, of which nothing says how they lie.
+"""Join two components of the pose graph by loops between them.
 
-Drift cannot judge such a loop, and one that is wrong, two halls alike, lays whole rooms on top of
-each other. So several must agree, they must have looked about rather than down one hall, and
-what either part has seen must not stand where the other has looked through.
+The relative pose of two components is unknown, so odometry cannot contradict a wrong loop between
+them, and a wrong one (two halls that look the same) lays whole rooms over each other. Therefore
+several loops must agree, they must see the place from different directions or positions, and
+after joining, the surfaces of one component must not stand in space that the other has seen to be
+free.
 """
 
 from __future__ import annotations
@@ -21,70 +23,136 @@ from slam_bof.loops.pairwise_consistency import agree
 from slam_bof.places import Compare
 from slam_bof.types import Array, Loop, Params
 
-__all__ = ["JoinGate", "JoinParams"]
+__all__ = ["ComponentJoiningGate", "ComponentJoiningParams"]
 
 N_QUERIES = 100
-"""So many keyframes of the younger part are asked what the older one has near."""
+"""Keyframes of the younger component that are compared with nearby ones of the older."""
 
 
-class JoinParams(Params):
-    """What loops that join two parts of the map need beyond those within one."""
+class ComponentJoiningParams(Params):
+    """What loops between two components need, beyond what loops within one need."""
 
-    n_required: int = Field(4, gt=0, description="loops of different keyframes that agree")
-    max_distance_m: float = Field(0.15, gt=0, description="by which they may disagree")
-    max_angle_rad: float = Field(0.06, gt=0)
-    look_about_rad: float = Field(0.6, ge=0, description="between their directions of view, or")
-    walk_about_m: float = Field(3.0, ge=0, description="between the places they look from")
-    near_m: float = Field(2.5, gt=0, description="views that a join brings nearer than this,")
-    near_rad: float = Field(1.0, gt=0, description="turned by less, are compared,")
-    n_compared: int = Field(300, gt=0, description="so many of them")
-    max_blocking: float = Field(
-        0.2, ge=0, le=1, description="share of their points that may stand in free space"
+    n_required: int = Field(
+        4,
+        gt=0,
+        description="Number of loops from different keyframes that must agree to join two "
+        "components.",
+    )
+    max_distance_m: float = Field(
+        0.15,
+        gt=0,
+        description="Largest distance by which two loops may disagree, in m.",
+    )
+    max_angle_rad: float = Field(
+        0.06,
+        gt=0,
+        description="Largest angle by which two loops may disagree, in rad.",
+    )
+    min_view_spread_rad: float = Field(
+        0.6,
+        ge=0,
+        description="Angle between viewing directions of the loops, in rad, from which the place "
+        "counts as seen from several sides.",
+    )
+    min_position_spread_m: float = Field(
+        3.0,
+        ge=0,
+        description="Distance between viewpoints of the loops, in m, that counts as such too.",
+    )
+    max_pair_distance_m: float = Field(
+        2.5,
+        gt=0,
+        description="Views of the two components are compared where the join brings them closer "
+        "than this, in m.",
+    )
+    max_pair_angle_rad: float = Field(
+        1.0,
+        gt=0,
+        description="Views are compared where their directions then differ by less than this, in "
+        "rad.",
+    )
+    n_pairs: int = Field(
+        300,
+        gt=0,
+        description="Largest number of pairs of views that are compared.",
+    )
+    max_free_space_violation: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Largest share of compared points of one component that may stand in space the "
+        "other has seen to be free.",
     )
 
 
-class JoinGate:
-    """Holds loops between parts of the map back until they are enough to join them."""
+class ComponentJoiningGate:
+    """Holds loops between components back until enough of them agree to join the two."""
 
-    def __init__(self, params: JoinParams, compare: Compare | None = None) -> None:
+    def __init__(self, params: ComponentJoiningParams, compare: Compare | None = None) -> None:
         self.params = params
         self._compare = compare
         self._pending: list[Loop] = []
 
     def admit(
-        self, loops: list[Loop], T_map_camera: Array, parts: NDArray[np.integer[Any]]
+        self, loops: list[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
     ) -> list[Loop]:
-        """Take the newest keyframe's loops to other parts; return those that join it to one.
+        """Take the newest keyframe's loops to other components; return those that join two of them.
 
-        ``T_map_camera`` (K, 4, 4) are the keyframes' poses, each part's in a frame of its own,
-        and ``parts`` (K,) which part they are in.
+        ``T_map_camera`` (K, 4, 4) are the keyframes' poses, each component in a frame of its own,
+        and ``components`` (K,) the component of each.
         """
-        p = self.params
         self._pending = [
-            loop for loop in self._pending if parts[loop.query_id] != parts[loop.match_id]
+            loop for loop in self._pending if components[loop.query_id] != components[loop.match_id]
         ]
+        self._pending += loops
+        admitted: list[Loop] = []
+        joined: set[frozenset[int]] = set()
         for loop in loops:
-            oriented = _from_younger(loop, parts)
-            between = parts[oriented.query_id], parts[oriented.match_id]
-            self._pending.append(loop)
-            witnesses = [_from_younger(other, parts) for other in self._pending]
-            agreed = agree(oriented, witnesses, T_map_camera, p.max_distance_m, p.max_angle_rad)
-            agreed &= [(parts[w.query_id], parts[w.match_id]) == between for w in witnesses]
-            agreeing = list(itertools.compress(self._pending, agreed))
-            if (
-                len({other.query_id for other in agreeing}) >= p.n_required
-                and self._has_looked_about(itertools.compress(witnesses, agreed), T_map_camera)
-                and self._is_free(oriented, T_map_camera, parts)
-            ):
-                self._pending = [other for other in self._pending if other not in agreeing]
-                return agreeing
-        return []
+            pair = _pair(loop, components)
+            if pair in joined:
+                continue  # this loop either agrees, and is admitted, or contradicts the join
+            agreeing = self._agreeing(loop, T_map_camera, components)
+            if self._is_enough(loop, agreeing, T_map_camera, components):
+                joined.add(pair)
+                admitted += agreeing
+        self._pending = [loop for loop in self._pending if loop not in admitted]
+        return admitted
+
+    def _agreeing(
+        self, loop: Loop, T_map_camera: Array, components: NDArray[np.integer[Any]]
+    ) -> list[Loop]:
+        """Return the loops, this one among them, that place its two components as it does."""
+        p, pair = self.params, _pair(loop, components)
+        others = [other for other in self._pending if _pair(other, components) == pair]
+        agreed = agree(
+            _from_younger(loop, components),
+            [_from_younger(other, components) for other in others],
+            T_map_camera,
+            p.max_distance_m,
+            p.max_angle_rad,
+        )
+        return list(itertools.compress(others, agreed))
+
+    def _is_enough(
+        self,
+        loop: Loop,
+        agreeing: list[Loop],
+        T_map_camera: Array,
+        components: NDArray[np.integer[Any]],
+    ) -> bool:
+        """Return whether loops that agree are enough to join their two components."""
+        oriented = [_from_younger(other, components) for other in agreeing]
+        return (
+            len({other.query_id for other in agreeing}) >= self.params.n_required
+            and self._has_looked_about(oriented, T_map_camera)
+            and self._is_free(_from_younger(loop, components), T_map_camera, components)
+        )
 
     def _has_looked_about(self, loops: Iterable[Loop], T_map_camera: Array) -> bool:
-        """Tell whether the queries, or the matches, of either one part, see enough of the place.
+        """Return whether the loops see the place from different directions or positions.
 
-        Any two of them may be those that look the most different ways, so that it does not matter
-        which part came first.
+        It is enough that the queries do, or the matches, so that it does not matter which
+        component came first.
         """
         p = self.params
         loops = list(loops)
@@ -92,42 +160,53 @@ class JoinGate:
             T = T_map_camera[sorted(ids)]
             apart = se3.inverse(T)[:, None] @ T
             walked_m = np.linalg.norm(apart[..., :3, 3], axis=-1).max()
-            if se3.rotation_angle(apart).max() >= p.look_about_rad or walked_m >= p.walk_about_m:
+            if (
+                se3.rotation_angle(apart).max() >= p.min_view_spread_rad
+                or walked_m >= p.min_position_spread_m
+            ):
                 return True
         return False
 
-    def _is_free(self, loop: Loop, T_map_camera: Array, parts: NDArray[np.integer[Any]]) -> bool:
-        """Tell whether either part leaves free what the other sees through, were they joined so.
+    def _is_free(
+        self, loop: Loop, T_map_camera: Array, components: NDArray[np.integer[Any]]
+    ) -> bool:
+        """Return whether each component leaves free what the other has seen to be free.
 
-        That holds through walls as well: what is behind what one sees contradicts nothing.
+        Points that lie behind what a view sees are hidden and contradict nothing, so views on
+        both sides of a wall can be compared.
         """
         if self._compare is None:
             return True
         p = self.params
-        match_ids = np.flatnonzero(parts == parts[loop.match_id])
-        query_ids = np.flatnonzero(parts == parts[loop.query_id])
+        match_ids = np.flatnonzero(components == components[loop.match_id])
+        query_ids = np.flatnonzero(components == components[loop.query_id])
         query_ids = query_ids[:: -(-len(query_ids) // N_QUERIES)]
         T_query_map = se3.inverse(T_map_camera[loop.query_id])
         T_map_other = T_map_camera[loop.match_id] @ loop.T_match_query @ T_query_map
         T_queries = T_map_other @ T_map_camera[query_ids]
         T = se3.inverse(T_map_camera[match_ids])[None] @ T_queries[:, None]
-        near = (np.linalg.norm(T[..., :3, 3], axis=-1) < p.near_m) & (
-            se3.rotation_angle(T) < p.near_rad
+        near = (np.linalg.norm(T[..., :3, 3], axis=-1) < p.max_pair_distance_m) & (
+            se3.rotation_angle(T) < p.max_pair_angle_rad
         )
         pairs = np.argwhere(near)
-        pairs = pairs[:: max(1, -(-len(pairs) // p.n_compared))]
-        blocking = compared = 0.0
+        pairs = pairs[:: max(1, -(-len(pairs) // p.n_pairs))]
+        free_space_violation = visible_ratio = 0.0
         for query in np.unique(pairs[:, 0]):
             matches = pairs[pairs[:, 0] == query, 1]
             found = self._compare(int(query_ids[query]), match_ids[matches], T[query, matches])
-            blocking += float(found.blocking.sum())
-            compared += float(found.compared.sum())
-        return blocking <= p.max_blocking * compared
+            free_space_violation += float(found.free_space_violation.sum())
+            visible_ratio += float(found.visible_ratio.sum())
+        return free_space_violation <= p.max_free_space_violation * visible_ratio
 
 
-def _from_younger(loop: Loop, parts: NDArray[np.integer[Any]]) -> Loop:
-    """Return the loop with its query in the younger part; its information, unused, stays."""
-    if parts[loop.query_id] > parts[loop.match_id]:
+def _pair(loop: Loop, components: NDArray[np.integer[Any]]) -> frozenset[int]:
+    """Return the two components that a loop is between."""
+    return frozenset((int(components[loop.query_id]), int(components[loop.match_id])))
+
+
+def _from_younger(loop: Loop, components: NDArray[np.integer[Any]]) -> Loop:
+    """Return the loop with its query in the younger component; its information, unused, stays."""
+    if components[loop.query_id] > components[loop.match_id]:
         return loop
     return replace(
         loop,

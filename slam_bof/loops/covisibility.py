@@ -17,10 +17,27 @@ __all__ = ["CovisibilityParams", "choose_covisible"]
 class CovisibilityParams(Params):
     """How many edges a keyframe gets, and what counts as seeing the same."""
 
-    max_edges: int = Field(12, ge=0, description="a keyframe; 0 turns proximity off")
-    min_overlap: float = Field(0.35, gt=0, le=1, description="share of points in both views")
-    separation: int = Field(2, gt=0, description="keyframes from one choice to the next")
-    max_range_m: float = Field(5.0, gt=0, description="how far a view reaches")
+    max_edges: int = Field(
+        12,
+        ge=0,
+        description="Largest number of covisibility edges for a keyframe; 0 turns them off.",
+    )
+    min_overlap: float = Field(
+        0.35,
+        gt=0,
+        le=1,
+        description="Smallest share of the points of a view that must fall into another view.",
+    )
+    separation: int = Field(
+        2,
+        gt=0,
+        description="Smallest number of keyframes between two that are chosen.",
+    )
+    max_range_m: float = Field(
+        5.0,
+        gt=0,
+        description="Depth that bounds the frustum of a view, in m.",
+    )
 
 
 def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:

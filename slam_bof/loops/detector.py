@@ -21,7 +21,16 @@ from slam_bof.geometry import se3
 from slam_bof.loops.candidates import BagRanking, Found, Ranking, ViewRanking
 from slam_bof.loops.params import LoopParams
 from slam_bof.places import Compare, PlaceRecogniser
-from slam_bof.types import Candidate, DepthFrame, Keyframe, Loop, Scene
+from slam_bof.types import (
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    EdgeKind,
+    Keyframe,
+    Loop,
+    Scene,
+)
 
 __all__ = ["LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
 
@@ -116,7 +125,9 @@ class LoopDetector:
     ) -> None:
         """Take a keyframe of a saved map, whose candidates were found when it was made."""
         self._ranking.remember(keyframe, frame)
-        self._maxima.append(tuple(c.match_id for c in candidates if c.source != "proximity"))
+        self._maxima.append(
+            tuple(c.match_id for c in candidates if c.source != CandidateSource.PROXIMITY)
+        )
         self._keyframes.append(keyframe)
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
@@ -133,7 +144,7 @@ class LoopDetector:
         self.counts = LoopCounts(**state["counts"])
         self._ranking.restore(state["ranking"])
 
-    def note(self, loops: Sequence[Loop]) -> None:
+    def on_loops_accepted(self, loops: Sequence[Loop]) -> None:
         """Note accepted loops: where an older keyframe stands, the last is not searched for.
 
         By bags all are found, as the paper has it.
@@ -141,12 +152,12 @@ class LoopDetector:
         p, newest = self.params, self._keyframes[-1].id
         if any(
             loop.query_id == newest
-            and loop.kind == "loop"
-            and np.linalg.norm(loop.T_match_query[:3, 3]) <= p.repeat_m
-            and se3.rotation_angle(loop.T_match_query) <= p.repeat_rad
+            and loop.kind == EdgeKind.LOOP
+            and np.linalg.norm(loop.T_match_query[:3, 3]) <= p.revisit_distance_m
+            and se3.rotation_angle(loop.T_match_query) <= p.revisit_angle_rad
             for loop in loops
         ):
-            self._ranking.set_aside()
+            self._ranking.deactivate()
 
     def _check(self, keyframe: Keyframe, candidate: Candidate) -> Candidate:
         """Measure semantic agreement and time consistency, and reject what fails."""
@@ -172,10 +183,10 @@ class LoopDetector:
             )
         elif p.upper_threshold is not None and candidate.eta > p.upper_threshold:
             reason = f"eta {candidate.eta:.3f} above {p.upper_threshold:g}: not verified"
-            return replace(candidate, decision="accepted", reason=reason)
+            return replace(candidate, decision=Decision.ACCEPTED, reason=reason)
         else:
             return candidate
-        return replace(candidate, decision="rejected", reason=reason)
+        return replace(candidate, decision=Decision.REJECTED, reason=reason)
 
     def _count(self, ranked: list[Candidate], checked: list[Candidate]) -> None:
         """Count a keyframe by the candidate that came furthest, before and after the checks."""
@@ -183,7 +194,7 @@ class LoopDetector:
         if "candidate" in grades:
             self.counts.candidate += 1
             self.counts.approved += any(
-                grade == "candidate" and candidate.decision != "rejected"
+                grade == "candidate" and candidate.decision != Decision.REJECTED
                 for grade, candidate in zip(grades, checked, strict=True)
             )
         elif "between" in grades:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,10 +25,27 @@ __all__ = ["ConsistencyGate", "ConsistencyParams", "agree", "circuit_errors"]
 class ConsistencyParams(Params):
     """How many other loops must agree, and how well."""
 
-    n_required: int = Field(1, ge=0, description="loops of other keyframes that must agree")
-    window: int = Field(8, gt=0, description="keyframes back that may still bear witness")
-    max_distance_m: float = Field(0.1, gt=0)
-    max_angle_rad: float = Field(0.06, gt=0)
+    n_required: int = Field(
+        1,
+        ge=0,
+        description="Number of loops of other keyframes that must agree with a loop; 0 turns the "
+        "check off.",
+    )
+    window: int = Field(
+        8,
+        gt=0,
+        description="Number of keyframes for which a loop waits for others to agree.",
+    )
+    max_distance_m: float = Field(
+        0.1,
+        gt=0,
+        description="Largest distance by which two loops may disagree, in m.",
+    )
+    max_angle_rad: float = Field(
+        0.06,
+        gt=0,
+        description="Largest angle by which two loops may disagree, in rad.",
+    )
 
 
 @dataclass(slots=True, eq=False)
@@ -35,7 +53,7 @@ class _Held:
     """A loop and the keyframes whose loops agree with it."""
 
     loop: Loop
-    witnesses: set[int] = field(default_factory=set)
+    supporters: set[int] = field(default_factory=set)
 
 
 class ConsistencyGate:
@@ -45,10 +63,14 @@ class ConsistencyGate:
         self.params = params
         self._recent: list[_Held] = []
 
-    def admit(self, loops: list[Loop], T_map_camera: Array) -> list[Loop]:
+    def admit(
+        self, loops: list[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
+    ) -> list[Loop]:
         """Take the verified loops of one keyframe; return those admitted now, old ones too.
 
-        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far.
+        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far, and ``components``
+        (K,) the component of each: each loop lies within one component, and only loops within the
+        same one can agree, as the pose between two components is arbitrary.
         """
         p = self.params
         if p.n_required == 0:
@@ -57,20 +79,22 @@ class ConsistencyGate:
         newest = len(T_map_camera) - 1
         self._recent = [old for old in self._recent if newest - old.loop.query_id <= p.window]
         recent = [old.loop for old in self._recent]
+        query_ids = np.array([loop.query_id for loop in recent], np.intp)
         new = [_Held(loop) for loop in loops]
         for one in new:
             agreed = agree(one.loop, recent, T_map_camera, p.max_distance_m, p.max_angle_rad)
+            agreed &= components[query_ids] == components[one.loop.query_id]
             for other in itertools.compress(self._recent, agreed):
-                admitted += self._testify(other, one.loop.query_id)
-                admitted += self._testify(one, other.loop.query_id)
+                admitted += self._add_supporter(other, one.loop.query_id)
+                admitted += self._add_supporter(one, other.loop.query_id)
         self._recent += new
         return admitted
 
-    def _testify(self, held: _Held, witness_id: int) -> list[Loop]:
+    def _add_supporter(self, held: _Held, supporter_id: int) -> list[Loop]:
         """Note a witness; return the loop if that makes it enough."""
-        before = len(held.witnesses)
-        held.witnesses.add(witness_id)
-        return [held.loop] if before < self.params.n_required <= len(held.witnesses) else []
+        before = len(held.supporters)
+        held.supporters.add(supporter_id)
+        return [held.loop] if before < self.params.n_required <= len(held.supporters) else []
 
 
 def agree(

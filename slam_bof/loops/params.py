@@ -15,20 +15,81 @@ __all__ = ["LoopParams"]
 class LoopParams(Params):
     """The parameters of Table 10, and what the product adds to them."""
 
-    by: Literal["views", "bags"] = "views"
-    upper_threshold: float | None = Field(
-        None, ge=0, description="bags: eta above it: accepted unverified; null: all are verified"
+    by: Literal["views", "bags"] = Field(
+        "views",
+        description="What proposes loops: place recognition by depth views, or by bags of words as "
+        "in the paper.",
     )
-    lower_threshold: float = Field(0.4, ge=0, description="bags: eta below it: discarded")
-    normaliser_lag_s: float = Field(1.0, gt=0, description="bags: N, or tau, as a time")
-    min_normaliser: float = Field(0.05, ge=0, description="bags: below it not judged")
-    min_seen: float = Field(0.4, ge=0, le=1, description="views: share of points both see")
+    upper_threshold: float | None = Field(
+        None,
+        ge=0,
+        description="With bags: a candidate with eta above this is accepted without geometric "
+        "verification; null verifies all.",
+    )
+    lower_threshold: float = Field(
+        0.4,
+        ge=0,
+        description="With bags: a candidate with eta below this is discarded.",
+    )
+    normaliser_lag_s: float = Field(
+        1.0,
+        gt=0,
+        description="With bags: age of the keyframe whose score normalises the others, in s (N or "
+        "tau in the paper).",
+    )
+    min_normaliser: float = Field(
+        0.05,
+        ge=0,
+        description="With bags: a keyframe whose normalising score is below this is not judged.",
+    )
+    min_inlier_ratio: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="With views: smallest share of points that both views must see.",
+    )
     recogniser: RecogniserParams = RecogniserParams()
-    repeat_m: float = Field(0.2, ge=0, description="views: who has a loop to nearer than this")
-    repeat_rad: float = Field(0.2, ge=0, description="and turned by less is not searched for")
-    tc: int = Field(3, ge=0, description="keyframes that the time consistency check runs over")
-    tc_required: int = Field(1, ge=0, description="of which so many must agree")
-    max_index_difference: int = Field(3, ge=0, description="keyframes apart that still agree")
-    top_k: int = Field(3, gt=0, description="candidates a keyframe; 1 in the paper")
-    min_age_s: float = Field(3.0, ge=0, description="younger keyframes are not loops")
-    min_scene_agreement: float = Field(0.2, ge=0, le=1, description="below it labels contradict")
+    revisit_distance_m: float = Field(
+        0.2,
+        ge=0,
+        description="With views: a keyframe with a loop to an older one closer than this, in m, is "
+        "not searched for later.",
+    )
+    revisit_angle_rad: float = Field(
+        0.2,
+        ge=0,
+        description="With views: the same for the angle between the two, in rad.",
+    )
+    tc: int = Field(
+        3,
+        ge=0,
+        description="Number of keyframes before this one that the check of time consistency looks "
+        "at (TC in the paper).",
+    )
+    tc_required: int = Field(
+        1,
+        ge=0,
+        description="How many of these must have a candidate near this one (TC_req in the paper).",
+    )
+    max_index_difference: int = Field(
+        3,
+        ge=0,
+        description="Largest difference of keyframe numbers at which two candidates count as near.",
+    )
+    top_k: int = Field(
+        3,
+        gt=0,
+        description="Largest number of candidates for a keyframe; the paper takes 1.",
+    )
+    min_age_s: float = Field(
+        3.0,
+        ge=0,
+        description="Keyframes younger than this, in s, are no loop candidates.",
+    )
+    min_scene_agreement: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Smallest agreement of scene labels (Bhattacharyya coefficient); below it a "
+        "candidate is rejected.",
+    )

@@ -12,11 +12,22 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.geometry import is_partial, se3
-from slam_bof.loops.component_joining import JoinGate, JoinParams
+from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoiningParams
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.places import Compare
 from slam_bof.ports import Verifier
-from slam_bof.types import Array, Candidate, DepthFrame, Loop, Params, Pose, Verification
+from slam_bof.types import (
+    Array,
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    EdgeKind,
+    Loop,
+    Params,
+    Pose,
+    Verification,
+)
 
 __all__ = ["LoopVerification", "VerificationParams", "Verified"]
 
@@ -29,15 +40,44 @@ class VerificationParams(Params):
     alike the views are too.
     """
 
-    min_overlap: float = Field(0.6, ge=0, le=1, description="of a loop's two clouds")
-    max_view_distance_m: float = Field(1.0, gt=0, description="between views with like bags")
-    max_view_angle_rad: float = Field(0.7, gt=0, description="between views with like bags")
-    slack_m: float = Field(0.5, ge=0, description="a loop may move the map by this, plus drift")
-    slack_rad: float = Field(0.3, ge=0, description="and turn it by this, plus drift")
-    drift_m_per_m: float = Field(0.05, ge=0, description="drift that odometry may have")
-    drift_rad_per_m: float = Field(0.02, ge=0, description="and its turn")
+    min_overlap: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="Smallest share of points with a match that a loop needs.",
+    )
+    max_view_distance_m: float = Field(
+        1.0,
+        gt=0,
+        description="Largest distance between two views that bags propose, in m.",
+    )
+    max_view_angle_rad: float = Field(
+        0.7,
+        gt=0,
+        description="Largest angle between two views that bags propose, in rad.",
+    )
+    max_correction_m: float = Field(
+        0.5,
+        ge=0,
+        description="Distance by which a loop may move the map, in m, before drift is added.",
+    )
+    max_correction_rad: float = Field(
+        0.3,
+        ge=0,
+        description="Angle by which a loop may turn the map, in rad, before drift is added.",
+    )
+    drift_m_per_m: float = Field(
+        0.05,
+        ge=0,
+        description="Drift in position that odometry may have, in m for each m travelled.",
+    )
+    drift_rad_per_m: float = Field(
+        0.02,
+        ge=0,
+        description="Drift in direction that odometry may have, in rad for each m travelled.",
+    )
     consistency: ConsistencyParams = ConsistencyParams()
-    joining: JoinParams = JoinParams()
+    component_joining: ComponentJoiningParams = ComponentJoiningParams()
 
 
 class Verified(NamedTuple):
@@ -65,7 +105,7 @@ class LoopVerification:
         self.params = params
         self._verifier = verifier
         self._gate = ConsistencyGate(params.consistency)
-        self._join_gate = JoinGate(params.joining, compare)
+        self._join_gate = ComponentJoiningGate(params.component_joining, compare)
         self._seed = seed
         self._prepared: list[Any] = []
 
@@ -78,7 +118,7 @@ class LoopVerification:
         candidates: Sequence[Candidate],
         T_map_camera: Array,
         *,
-        parts: NDArray[np.integer[Any]] | None = None,
+        components: NDArray[np.integer[Any]] | None = None,
         guesses: Mapping[int, Pose] = MappingProxyType({}),
     ) -> Verified:
         """Judge the candidates of the newest keyframe that are still open.
@@ -86,34 +126,39 @@ class LoopVerification:
         Those accepted already are aligned for their pose; the verdict does not veto them, but
         where so few points meet that the pose stays open there is no edge.
 
-        ``T_map_camera`` (K, 4, 4) are all keyframes' poses in the map so far, and ``parts`` (K,)
-        which part of it they are in, as ``parts.MapParts`` has it (without: all in one); those of
-        different parts say nothing of each other. ``guesses`` are ``T_match_query`` that
-        recognition has already, by ``match_id``.
+        ``T_map_camera`` (K, 4, 4) are the poses of all keyframes in the map so far, and
+        ``components`` (K,) the component of each (by default all are in one); poses of different
+        components cannot be compared. ``guesses`` are the poses ``T_match_query`` that
+        recognition has already found, by ``match_id``.
         """
-        if parts is None:
-            parts = np.zeros(len(T_map_camera), dtype=np.int64)
+        if components is None:
+            components = np.zeros(len(T_map_camera), dtype=np.int64)
         judged: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
-        still_open = [c for c in candidates if c.decision != "rejected"]
+        still_open = [c for c in candidates if c.decision != Decision.REJECTED]
         aligned = iter(self._align(still_open, T_map_camera, guesses))
         for candidate in candidates:
-            if candidate.decision == "rejected":
+            if candidate.decision == Decision.REJECTED:
                 judged.append(candidate)
                 continue
             verified = next(aligned)
-            if candidate.source == "proximity" and verified.overlap < self.params.min_overlap:
+            if (
+                candidate.source == CandidateSource.PROXIMITY
+                and verified.overlap < self.params.min_overlap
+            ):
                 # Too little to claim a loop, but two views of the same surfaces all the same.
-                candidate = replace(candidate, kind="covisibility")
-            if candidate.decision == "accepted":
+                candidate = replace(candidate, kind=EdgeKind.COVISIBILITY)
+            if candidate.decision == Decision.ACCEPTED:
                 decision, reason = _take(candidate, verified)
             else:
-                reason = verified.reason or self._object(candidate, verified, T_map_camera, parts)
-                decision = "rejected" if reason else "accepted"
-            if decision == "accepted":
-                if candidate.kind == "loop" and is_partial(verified.information):
-                    candidate = replace(candidate, kind="partial")
+                reason = verified.reason or self._reason_against(
+                    candidate, verified, T_map_camera, components
+                )
+                decision = Decision.REJECTED if reason else Decision.ACCEPTED
+            if decision == Decision.ACCEPTED:
+                if candidate.kind == EdgeKind.LOOP and is_partial(verified.information):
+                    candidate = replace(candidate, kind=EdgeKind.PARTIAL)
                 loop = Loop(
                     candidate.query_id,
                     candidate.match_id,
@@ -122,7 +167,8 @@ class LoopVerification:
                     candidate.kind,
                     candidate.source,
                 )
-                (edges if candidate.kind == "covisibility" else loops).append(loop)
+                is_neighbour = candidate.kind == EdgeKind.COVISIBILITY
+                (edges if is_neighbour else loops).append(loop)
             judged.append(
                 replace(
                     candidate,
@@ -132,21 +178,22 @@ class LoopVerification:
                     reason=reason,
                 )
             )
-        admitted = self.admit(loops, T_map_camera, parts)
-        return Verified(_hold(judged, admitted, parts), edges + loops, edges + admitted)
+        admitted = self.admit(loops, T_map_camera, components)
+        return Verified(_hold(judged, admitted, components), edges + loops, edges + admitted)
 
     def admit(
-        self, loops: Sequence[Loop], T_map_camera: Array, parts: NDArray[np.integer[Any]]
+        self, loops: Sequence[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
     ) -> list[Loop]:
         """Take the newest keyframe's verified loops; return those that others agree with now."""
-        within = [loop for loop in loops if parts[loop.query_id] == parts[loop.match_id]]
+        within = [loop for loop in loops if components[loop.query_id] == components[loop.match_id]]
         between = [
             loop
             for loop in loops
-            if parts[loop.query_id] != parts[loop.match_id] and loop.kind != "partial"
+            if components[loop.query_id] != components[loop.match_id]
+            and loop.kind != EdgeKind.PARTIAL
         ]
-        admitted = self._gate.admit(within, T_map_camera)
-        return admitted + self._join_gate.admit(between, T_map_camera, parts)
+        admitted = self._gate.admit(within, T_map_camera, components)
+        return admitted + self._join_gate.admit(between, T_map_camera, components)
 
     def _align(
         self, candidates: Sequence[Candidate], T_map_camera: Array, guesses: Mapping[int, Pose]
@@ -168,44 +215,44 @@ class LoopVerification:
         again = [
             k
             for k, candidate in enumerate(candidates)
-            if candidate.source == "bag" and not verified[k].accepted
+            if candidate.source == CandidateSource.BAG and not verified[k].accepted
         ]
         found = self._verifier.verify(query, [matches[k] for k in again], seed=self._seed)
         for k, verification in zip(again, found, strict=True):
             verified[k] = verification
         return verified
 
-    def _object(
+    def _reason_against(
         self,
         candidate: Candidate,
         verified: Verification,
         T_map_camera: Array,
-        parts: NDArray[np.integer[Any]],
+        components: NDArray[np.integer[Any]],
     ) -> str:
         """Return why a well-aligned pair is no loop all the same, or nothing."""
         p = self.params
-        if candidate.kind != "loop":
+        if candidate.kind != EdgeKind.LOOP:
             return ""
         if verified.overlap < p.min_overlap:
             return f"overlap {verified.overlap:.2f} below the {p.min_overlap:g} that a loop needs"
         distance_m, angle_rad = _size(verified.T_match_query)
-        if candidate.source == "bag" and (
+        if candidate.source == CandidateSource.BAG and (
             distance_m > p.max_view_distance_m or angle_rad > p.max_view_angle_rad
         ):
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
-        if parts[candidate.match_id] != parts[candidate.query_id]:
+        if components[candidate.match_id] != components[candidate.query_id]:
             return ""
         way = slice(candidate.match_id, candidate.query_id + 1)
         between = T_map_camera[way]
         steps_m = np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1)
-        # How far parts of the map are from each other says nothing of how far the camera went.
-        path_m = float(steps_m[np.diff(parts[way]) == 0].sum())
+        # How far components are from each other says nothing of how far the camera went.
+        path_m = float(steps_m[np.diff(components[way]) == 0].sum())
         moved_m, turned_rad = _size(
             se3.inverse(verified.T_match_query) @ se3.inverse(between[0]) @ between[-1]
         )
         if (
-            moved_m > p.slack_m + p.drift_m_per_m * path_m
-            or turned_rad > p.slack_rad + p.drift_rad_per_m * path_m
+            moved_m > p.max_correction_m + p.drift_m_per_m * path_m
+            or turned_rad > p.max_correction_rad + p.drift_rad_per_m * path_m
         ):
             return (
                 f"would move the map by {moved_m:.2f} m and {turned_rad:.2f} rad, "
@@ -214,13 +261,13 @@ class LoopVerification:
         return ""
 
 
-def _take(candidate: Candidate, verified: Verification) -> tuple[str, str]:
+def _take(candidate: Candidate, verified: Verification) -> tuple[Decision, str]:
     """Return decision and reason of a candidate that recognition accepted already."""
     information = verified.information
     if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
-        return "rejected", f"{candidate.reason}; no relative pose: {verified.reason}"
-    objection = f"; geometry objects: {verified.reason}" if verified.reason else ""
-    return "accepted", candidate.reason + objection
+        return Decision.REJECTED, f"{candidate.reason}; no relative pose: {verified.reason}"
+    reason_against = f"; geometry objects: {verified.reason}" if verified.reason else ""
+    return Decision.ACCEPTED, candidate.reason + reason_against
 
 
 def _size(T: Pose) -> tuple[float, float]:
@@ -229,19 +276,22 @@ def _size(T: Pose) -> tuple[float, float]:
 
 
 def _hold(
-    judged: list[Candidate], admitted: list[Loop], parts: NDArray[np.integer[Any]]
+    judged: list[Candidate], admitted: list[Loop], components: NDArray[np.integer[Any]]
 ) -> list[Candidate]:
     """Mark the loops that were verified but not admitted yet."""
     pairs = {(loop.query_id, loop.match_id) for loop in admitted}
 
     def hold(candidate: Candidate) -> Candidate:
         pair = candidate.query_id, candidate.match_id
-        is_edge = candidate.kind == "covisibility"
-        if candidate.decision != "accepted" or is_edge or pair in pairs:
+        if (
+            candidate.decision != Decision.ACCEPTED
+            or candidate.kind == EdgeKind.COVISIBILITY
+            or pair in pairs
+        ):
             return candidate
         reason = "no loop of another keyframe agrees with it"
-        if parts[candidate.query_id] != parts[candidate.match_id]:
-            reason = "not enough yet to join two parts of the map"
-        return replace(candidate, decision="held", reason=reason)
+        if components[candidate.query_id] != components[candidate.match_id]:
+            reason = "not enough yet to join two components"
+        return replace(candidate, decision=Decision.HELD, reason=reason)
 
     return [hold(candidate) for candidate in judged]

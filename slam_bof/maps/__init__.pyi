@@ -3,15 +3,15 @@ from .export import (
     session_trajectory as session_trajectory,
 )
 from .map_localizer import (
-    Located as Located,
+    LocalizedFrame as LocalizedFrame,
     MapLocalizer as MapLocalizer,
 )
 from .merging import (
     merge_maps as merge_maps,
 )
 from .occupancy_grid import (
-    OccupancyParams as OccupancyParams,
+    OccupancyGridParams as OccupancyGridParams,
 )
 from .point_cloud import (
-    write_map as write_map,
+    write_sequence_cloud as write_sequence_cloud,
 )

@@ -1,27 +1,43 @@
-"""A saved map written for other programs."""
+"""Export of a saved map to the file formats of other programs."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
+from slam_bof.core import registry
 from slam_bof.errors import MapError
-from slam_bof.geometry import write_kitti, write_tum
-from slam_bof.maps.g2o import write_g2o
-from slam_bof.maps.occupancy_grid import OccupancyParams, make_grid, write_grid
-from slam_bof.maps.point_cloud import write_views
-from slam_bof.slam import History, config as configs
+from slam_bof.geometry import (
+    GraphEdge,
+    loop_information,
+    se3,
+    step_sigmas,
+    write_g2o,
+    write_kitti,
+    write_tum,
+)
+from slam_bof.maps.occupancy_grid import (
+    OccupancyGridParams,
+    build_occupancy_grid,
+    write_occupancy_grid,
+)
+from slam_bof.maps.point_cloud import write_keyframe_cloud
+from slam_bof.slam import FrameHistory, config as configs
 from slam_bof.store import MapStore, query_keyframes
-from slam_bof.types import DepthFrame, Trajectory
+from slam_bof.types import DepthFrame, Keyframe, Trajectory
 
 __all__ = ["FORMATS", "Format", "export_map", "session_trajectory"]
 
 Format = Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"]
 FORMATS: tuple[Format, ...] = ("tum", "kitti", "csv", "g2o", "ply", "occupancy")
+
+DEFAULT_STEP_SIGMA, DEFAULT_LOOP_SIGMA = 0.05, 0.01
+"""In rad and m, for back-ends that have no such parameters."""
 
 
 def export_map(
@@ -32,34 +48,41 @@ def export_map(
     session: int | None = None,
     all_frames: bool = False,
     voxel_size_m: float = 0.02,
-    occupancy: OccupancyParams | None = None,
+    occupancy: OccupancyGridParams | None = None,
 ) -> int:
-    """Write a map; return how many poses (tum, kitti), rows, keyframes or points that are.
+    """Export a map to a file.
 
     Parameters
     ----------
     store, path, format_
-        The map, the file, and what it is: poses of the keyframes (``tum``, ``kitti``), these with
-        their labels (``csv``), the pose graph (``g2o``), a cloud (``ply``), or a plan of ROS's
-        map_server (``occupancy``, YAML, with a PNG beside it).
+        The map, the file to write, and its content: poses of the keyframes (``tum``, ``kitti``),
+        poses and labels (``csv``), the pose graph (``g2o``), a point cloud (``ply``), or an
+        occupancy grid for ROS's map_server (``occupancy``: YAML, with a PNG beside it).
     session
-        Only its keyframes; a graph is of all.
+        Export only the keyframes of this session; a pose graph always has all.
     all_frames
-        Of poses: every frame of the session, not only keyframes; of the only one without a number.
-    voxel_size_m, occupancy
-        Of the cloud, and of the plan.
+        With ``tum`` or ``kitti``: every frame of the session, not only its keyframes. ``session``
+        may be left out if the map has only one.
+    voxel_size_m
+        With ``ply``: side of the voxels; one point is kept in each.
+    occupancy
+        With ``occupancy``: parameters of the grid.
+
+    Returns
+    -------
+    int
+        Number of poses, rows, keyframes or points written.
 
     Raises
     ------
     MapError
-        If the map is not finished, there is no such session, stamps of several do not grow, or
-        it has no depth images where these are asked for.
+        If the map is not finished, there is no such session, the time stamps of several sessions
+        do not increase, or depth images are needed and the map has none.
     """
     keyframes, poses = store.keyframes(), store.map_poses()
-    if session is not None and session not in {s.id for s in store.sessions()}:
-        raise MapError(
-            f"{store.path}: found no session {session}, expected one of {len(store.sessions())}"
-        )
+    n_sessions = len(store.sessions())
+    if session is not None and session >= n_sessions:
+        raise MapError(f"{store.path}: found no session {session}, expected 0 to {n_sessions - 1}")
     own = [k.id for k in keyframes if session in (None, k.session)]
     if format_ == "csv":
         return _write_csv(store, path, set(own))
@@ -68,25 +91,20 @@ def export_map(
     if not np.isfinite(poses).all():
         raise _interrupted(store)
     if format_ == "g2o":
-        options = configs.parse(store.sessions()[-1].config, str(store.path)).backend.options
-        sigmas = {
-            name: float(options.get(name, 0.05))
-            for name in ("odometry_sigma_rad", "odometry_sigma_m")
-        }
-        write_g2o(path, keyframes, poses, store.loops(), **sigmas)
+        write_g2o(path, enumerate(poses), _graph_edges(store, keyframes))
         return len(keyframes)
     views = _views(store, own)
     if format_ == "ply":
-        return write_views(path, views, poses[own], voxel_size_m=voxel_size_m)
-    write_grid(path, make_grid(views, poses[own], occupancy))
+        return write_keyframe_cloud(path, views, poses[own], voxel_size_m=voxel_size_m)
+    write_occupancy_grid(path, build_occupancy_grid(views, poses[own], occupancy))
     return len(own)
 
 
 def session_trajectory(store: MapStore, session: int) -> Trajectory:
-    """Return T_map_camera of every frame of a session, as the map has them now."""
+    """Return T_map_camera of every frame of a session, at the map's present poses."""
     own = [k for k in store.keyframes() if k.session == session]
     poses = store.map_poses()[[k.id for k in own]]
-    return History(store.frames(session)).trajectory(own, poses)
+    return FrameHistory(store.frames(session)).trajectory(own, poses)
 
 
 def _write_poses(
@@ -109,8 +127,8 @@ def _write_poses(
         trajectory = Trajectory(stamps_s, poses[ids].reshape(-1, 4, 4))
     if several and (all_frames or (format_ == "tum" and (np.diff(trajectory.stamps_s) <= 0).any())):
         raise MapError(
-            f"{store.path}: found {len(store.sessions())} sessions, each with a time of its own, "
-            "expected one of them: --session"
+            f"{store.path}: found {len(store.sessions())} sessions, whose time stamps overlap, "
+            "expected a choice of one: --session"
         )
     known = np.isfinite(trajectory.poses).all(axis=(1, 2))
     trajectory = Trajectory(trajectory.stamps_s[known], trajectory.poses[known])
@@ -118,9 +136,28 @@ def _write_poses(
     return len(trajectory)
 
 
+def _graph_edges(store: MapStore, keyframes: Sequence[Keyframe]) -> Iterator[GraphEdge]:
+    """Yield the edges of the pose graph, weighted as the back-end of the newest session does."""
+    backend = configs.parse_saved(store.sessions()[-1].config, str(store.path)).backend
+    params = registry.check_options("backends", backend.name, backend.options)
+    sigmas = step_sigmas(
+        getattr(params, "odometry_sigma_rad", DEFAULT_STEP_SIGMA),
+        getattr(params, "odometry_sigma_m", DEFAULT_STEP_SIGMA),
+    )
+    loop_sigma = getattr(params, "loop_sigma", DEFAULT_LOOP_SIGMA)
+    for before, after in itertools.pairwise(keyframes):
+        if before.segment == after.segment:
+            T_before_after = se3.inverse(before.T_odom_camera) @ after.T_odom_camera
+            yield GraphEdge(before.id, after.id, T_before_after, np.diag(sigmas**-2.0))
+    for loop in store.loops():
+        information = loop_information(loop.information, loop_sigma)
+        yield GraphEdge(loop.match_id, loop.query_id, loop.T_match_query, information)
+
+
 def _interrupted(store: MapStore) -> MapError:
     return MapError(
-        f"{store.path}: found poses of an interrupted run, expected a finished one: resume it"
+        f"{store.path}: found an interrupted run without optimised poses, expected a finished "
+        "one: resume it first"
     )
 
 
@@ -139,12 +176,11 @@ def _write_csv(store: MapStore, path: Path, ids: set[int]) -> int:
     records = [record for record in query_keyframes(store) if record.id in ids]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
-        names = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-        smoothed = ("smoothed", "smoothed_probability", "region")
-        own = ("id", "frame_index", "stamp_s", "scene", "probability")
-        table.writerow((*own, *names, *smoothed))
+        head = ("id", "frame_index", "stamp_s", "scene", "probability")
+        pose = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
+        table.writerow((*head, *pose, "smoothed", "smoothed_probability", "region"))
         for r in records:
-            own_label = (r.id, r.frame_index, r.stamp_s, r.scene, r.scene_probability)
-            around = (r.smoothed, r.smoothed_probability, r.region)
-            table.writerow((*own_label, *r.translation_m, *r.quaternion_xyzw, *around))
+            head_values = (r.id, r.frame_index, r.stamp_s, r.scene, r.scene_probability)
+            tail_values = (r.smoothed, r.smoothed_probability, r.region)
+            table.writerow((*head_values, *r.translation_m, *r.quaternion_xyzw, *tail_values))
     return len(records)

@@ -1,4 +1,4 @@
-"""A saved map asked where depth images were taken, and what scene they show."""
+"""Localization of depth images in a saved map, with their scene labels."""
 
 from __future__ import annotations
 
@@ -13,36 +13,37 @@ from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import config as configs
-from slam_bof.store import MapStore, parts_of
+from slam_bof.store import MapStore, components_of
 from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene
 
-__all__ = ["Located", "MapLocalizer"]
+__all__ = ["LocalizedFrame", "MapLocalizer"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Located:
-    """What a map says of a depth image.
+class LocalizedFrame:
+    """A depth image localized in a map.
 
-    ``found`` has the pose, or why it is not known. ``scene`` is what the image itself shows, None
-    without a scene classifier; ``room`` the smoothed label of the keyframe that matches.
+    ``localization`` has the pose, or the reason why it is unknown. ``scene`` is the label of the
+    image itself, None without a scene classifier. ``keyframe`` is the one that matches, and
+    ``room`` its smoothed label.
     """
 
-    found: Localization
+    localization: Localization
     scene: Scene | None
     keyframe: Keyframe | None
     room: str | None
 
 
 class MapLocalizer:
-    """A map's keyframes, and the model that labelled them.
+    """Localizes depth images in a saved map and labels them with the map's model.
 
-    Of a map in several parts, which no loop has joined, the largest is asked.
+    Of a map with several components, which no loop connects, the largest is used.
 
     Examples
     --------
-    >>> places = MapLocalizer.open("runs/latest/map.db")  # doctest: +SKIP
-    >>> located = places.localize(frame)  # doctest: +SKIP
-    >>> print(located.found.T_map_camera, located.room)  # doctest: +SKIP
+    >>> localizer = MapLocalizer.open("runs/latest/map.db")  # doctest: +SKIP
+    >>> answer = localizer.localize(frame)  # doctest: +SKIP
+    >>> print(answer.localization.T_map_camera, answer.room)  # doctest: +SKIP
     """
 
     def __init__(
@@ -64,16 +65,17 @@ class MapLocalizer:
         Raises
         ------
         MapError
-            If it has no keyframes, an interrupted run, no depth images, or damage.
+            If the map has no keyframes or no depth images, is damaged, or its last run was
+            interrupted.
         ModelError
-            If the model that it was made with is not there.
+            If the model that the map was made with is missing.
         """
         path = Path(path)
         with MapStore.open(path) as store:
             sessions, camera = store.sessions(), store.intrinsics()
             keyframes, T_map_camera = store.keyframes(), store.map_poses()
             if not keyframes:
-                raise MapError(f"{path}: found no keyframes, expected some to compare with")
+                raise MapError(f"{path}: found no keyframes, expected at least one")
             if camera is None:
                 raise MapError(
                     f"{path}: found no depth images, expected some: maps made before version 4 "
@@ -81,15 +83,13 @@ class MapLocalizer:
                 )
             if not np.isfinite(T_map_camera).all():
                 raise MapError(
-                    f"{path}: found that the run of {sessions[-1].sequence} was interrupted, "
+                    f"{path}: found an interrupted run of {sessions[-1].sequence}, "
                     "expected a finished one: resume it first"
                 )
-            config = configs.parse(sessions[-1].config, f"{path}: session {sessions[-1].id}")
-            model = (
-                models.load_default() if config.model == "default" else models.load(config.model)
-            )
-            parts = parts_of(store)
-            largest = np.flatnonzero(parts == np.bincount(parts).argmax())
+            config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
+            model = models.resolve(config.model)
+            components = components_of(store)
+            largest = np.flatnonzero(components == np.bincount(components).argmax())
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,
@@ -105,28 +105,26 @@ class MapLocalizer:
         return cls(localizer, own, model.labeller(), camera)
 
     def __len__(self) -> int:
-        """Return the number of keyframes asked."""
+        """Return the number of keyframes that images are compared with."""
         return len(self._keyframes)
 
-    def localize(self, frame: DepthFrame) -> Located:
-        """Return where a frame was taken, by itself, and what it shows.
+    def localize(self, frame: DepthFrame) -> LocalizedFrame:
+        """Localize a single frame and label it.
 
         Raises
         ------
         DatasetError
-            If it is of another camera than the map.
+            If the frame's camera is not the map's.
         """
         if frame.intrinsics != self.intrinsics:
             raise DatasetError(
-                f"found a frame of {frame.intrinsics}, expected one of the map's camera: "
-                f"{self.intrinsics}"
+                f"found a frame of {frame.intrinsics}, expected the map's camera, {self.intrinsics}"
             )
-        found = self._localizer.localize(frame)
-        scene = None
-        if self._labeller is not None:
-            scene = self._labeller.label(frame)
-        if found.keyframe_id is None:
-            return Located(found, scene, None, None)
-        keyframe = self._keyframes[found.keyframe_id]
+        localization = self._localizer.localize(frame)
+        scene = None if self._labeller is None else self._labeller.label(frame)
+        if localization.keyframe_id is None:
+            return LocalizedFrame(localization, scene, keyframe=None, room=None)
+        keyframe = self._keyframes[localization.keyframe_id]
         label = keyframe.smoothed or keyframe.scene
-        return Located(found, scene, keyframe, None if label is None else label.label)
+        room = None if label is None else label.label
+        return LocalizedFrame(localization, scene, keyframe=keyframe, room=room)

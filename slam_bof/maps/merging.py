@@ -1,4 +1,4 @@
-"""Maps merged to one, by what is recognised of each in the others."""
+"""Merging of maps: loops between their keyframes join them in one pose graph."""
 
 from __future__ import annotations
 
@@ -9,114 +9,136 @@ from typing import NamedTuple
 
 from slam_bof.core import StageClock
 from slam_bof.errors import MapError
-from slam_bof.geometry import thicken
+from slam_bof.geometry import restore_frame
 from slam_bof.scenes import label_map
 from slam_bof.slam import KeyframeMap, config as configs
-from slam_bof.store import MapStore, SessionResult, read_records
+from slam_bof.store import MapStore, SessionResult, replay_keyframes
 from slam_bof.types import LOST, FramePose, KeyframeRecord
 
-__all__ = ["Merged", "merge_maps"]
+__all__ = ["MergeResult", "merge_maps"]
 
-LEFT_OUT = "contradicts the other loops, weighed all together when maps were merged"
+LEFT_OUT_REASON = "inconsistent with the other loops in the optimisation of the merged maps"
 
 
-class Merged(NamedTuple):
-    """What maps were merged to; one part if all were recognised in each other."""
+class MergeResult(NamedTuple):
+    """Size of a merged map; it has one component if loops connect all the maps."""
 
     n_sessions: int
     n_keyframes: int
     n_loops_across: int
-    """Loops from one map to another."""
-    n_parts: int
+    """Loops between keyframes of different maps."""
+    n_components: int
 
 
-def merge_maps(paths: Sequence[Path], out: Path) -> Merged:
-    """Join maps to the first of them, as sessions of one graph, in a new file.
+def merge_maps(paths: Sequence[Path], out: Path) -> MergeResult:
+    """Merge maps into a new file, as sessions of one pose graph.
 
-    Their keyframes are looked for in those before as a run's are, by the first map's
-    configuration; where nothing is recognised, a map stays a part of its own.
+    The keyframes of each map are matched against those of the maps before it, as in a run with
+    the configuration of the first map. A map without accepted loops to the others stays a
+    component of its own.
 
     Raises
     ------
     MapError
-        If there is a file already, a run was interrupted, or cameras or models differ.
+        If the new file exists, a run was interrupted, or the maps' cameras or models differ.
     """
     if out.exists():
-        raise MapError(f"{out}: found a file, expected none where a new map is to be made")
+        raise MapError(f"{out}: found a file, expected none: a new map needs a new name")
     new = out.with_name(f".{out.name}.merged")
     new.unlink(missing_ok=True)
     try:
         with MapStore.open(paths[0]) as first:
             first.copy_to(new)
         with MapStore.open(new, read_only=False) as target:
-            merged = _join(target, paths)
+            merged = _merge_into_first(target, paths)
         new.rename(out)
     finally:
         new.unlink(missing_ok=True)
     return merged
 
 
-def _join(target: MapStore, paths: Sequence[Path]) -> Merged:
-    """Take the other maps' keyframes as sessions of the first, and finish them."""
+def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
+    """Add the sessions of the other maps to a copy of the first, and finish them."""
     sessions = target.sessions()
     _check_finished(target, paths[0])
-    config = configs.parse(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
+    config = configs.parse_saved(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
     keyframes = KeyframeMap.from_config(config, StageClock())
-    for record in read_records(target):
+    for record in replay_keyframes(target):
         while keyframes.session < record.keyframe.session:
             keyframes.begin_session()
-        keyframes.take_back(record)
+        keyframes.replay(record)
     starts: list[int] = []
     tails: dict[int, list[FramePose]] = {}
     for path in paths[1:]:
         starts.append(len(keyframes))
         with MapStore.open(path) as other:
             _check_finished(other, path)
-            _check_alike(target, other, paths[0])
+            _check_compatible(target, other, paths[0])
             for session in other.sessions():
                 keyframes.begin_session()
                 id_ = keyframes.session
                 target.begin_session(replace(session, id=id_, is_finished=False))
-                tails[id_] = _take(keyframes, target, other, session.id)
+                tails[id_] = _add_session(keyframes, target, other, session.id)
     keyframes.graph.optimize()
     T_map_camera, graph = keyframes.graph.poses(), keyframes.graph
-    labels = label_map(
-        keyframes.keyframes, T_map_camera, config.labels, config.regions, parts=keyframes.parts
+    smoothed, regions = label_map(
+        keyframes.keyframes,
+        T_map_camera,
+        config.labels,
+        config.rooms,
+        components=keyframes.components,
     )
     for id_, frames in tails.items():
-        result = SessionResult(frames, T_map_camera, *labels, graph.left_out, LEFT_OUT)
+        result = SessionResult(
+            frames=frames,
+            T_map_camera=T_map_camera,
+            smoothed=smoothed,
+            regions=regions,
+            left_out=graph.left_out,
+            reason=LEFT_OUT_REASON,
+        )
         target.finish(id_, result)
     across = sum(
         any(loop.match_id < start <= loop.query_id for start in starts) for loop in graph.loops
     )
-    return Merged(keyframes.session + 1, len(keyframes), across, len(graph.parts))
+    return MergeResult(
+        n_sessions=keyframes.session + 1,
+        n_keyframes=len(keyframes),
+        n_loops_across=across,
+        n_components=len(graph.components),
+    )
 
 
-def _take(
+def _add_session(
     keyframes: KeyframeMap, target: MapStore, other: MapStore, session_id: int
 ) -> list[FramePose]:
-    """Take a session's keyframes as a new one's; return the frames after the last of them."""
+    """Add a session of another map; return the frames after its last keyframe."""
     n_segments = keyframes.keyframes[-1].segment + 1 if len(keyframes) else 0
     frames = other.frames(session_id)
     later = n_segments - min((f.segment for f in frames if f.segment != LOST), default=0)
     frames = [f if f.segment == LOST else replace(f, segment=f.segment + later) for f in frames]
     start = 0
-    for record in read_records(other):
+    for record in replay_keyframes(other):
         old = record.keyframe
         if old.session != session_id:
             continue
         keyframe = replace(
             old, id=len(keyframes), session=keyframes.session, segment=old.segment + later
         )
-        verified = keyframes.add_described(keyframe, thicken(record.thin, keyframe.stamp_s))
+        verified = keyframes.add_described(keyframe, restore_frame(record.depth, keyframe.stamp_s))
         own = tuple(frames[start : keyframe.frame_index + 1])
         start = keyframe.frame_index + 1
-        outcome = (
-            tuple(verified.candidates),
-            tuple(verified.measured),
-            tuple(verified.admitted),
+        target.write(
+            KeyframeRecord(
+                keyframe=keyframe,
+                depth=record.depth,
+                frames=own,
+                candidates=tuple(verified.candidates),
+                measured=tuple(verified.measured),
+                admitted=tuple(verified.admitted),
+                state={},
+            )
         )
-        target.write(KeyframeRecord(keyframe, record.thin, own, *outcome, {}))
     return frames[start:]
 
 
@@ -128,7 +150,7 @@ def _check_finished(store: MapStore, path: Path) -> None:
         raise MapError(f"{path}: found an interrupted run, expected a finished one: resume it")
 
 
-def _check_alike(target: MapStore, other: MapStore, first: Path) -> None:
+def _check_compatible(target: MapStore, other: MapStore, first: Path) -> None:
     ours, theirs = target.parameters(), other.parameters()
     for key in ("camera", "model", "classes"):
         if ours.get(key) != theirs.get(key):

@@ -1,4 +1,4 @@
-"""The map's point cloud: keyframes' points at their optimised poses, thinned to voxels."""
+"""The point cloud of a map: points of the keyframes at their optimised poses, one per voxel."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from slam_bof.geometry import back_project, down_of_map, se3, view_points
 from slam_bof.ports import Dataset
 from slam_bof.types import Array, DepthFrame
 
-__all__ = ["write_map", "write_views"]
+__all__ = ["write_keyframe_cloud", "write_sequence_cloud"]
 
 STRIDE = 4
 MAX_RANGE_M = 4.0
 
 
-def write_map(
+def write_sequence_cloud(
     path: Path,
     dataset: Dataset,
     frame_indices: Sequence[int],
@@ -27,20 +27,20 @@ def write_map(
     *,
     voxel_size_m: float = 0.02,
 ) -> int:
-    """Write ``map.ply`` and return its number of points.
+    """Write the point cloud of frames of a data set and return its number of points.
 
     Parameters
     ----------
     path
-        The .ply file to write (binary, with colour where the data set has it); without keyframes,
-        or where all they see is too far, it has no points.
+        The .ply file to write (binary, with colour where the data set has it). It has no points
+        if there are no frames or all depth is beyond 4 m.
     dataset, frame_indices, T_map_camera
         The frames to fuse, by index, and their (K, 4, 4) poses in the map.
     voxel_size_m
-        One point is kept for each voxel of this size.
+        Side of the voxels; one point is kept in each.
     """
 
-    def coloured() -> Iterator[tuple[Array, Array | None]]:
+    def coloured_clouds() -> Iterator[tuple[Array, Array | None]]:
         for index, T in zip(frame_indices, T_map_camera, strict=True):
             frame = dataset.frame(index)
             depth_m = frame.depth_m(STRIDE)
@@ -50,26 +50,26 @@ def write_map(
             rgb = None if color is None else color[::STRIDE, ::STRIDE][depth_m > 0.0] / 255.0
             yield se3.transform(T, points_camera), rgb
 
-    return _write(path, coloured(), voxel_size_m)
+    return _write(path, coloured_clouds(), voxel_size_m)
 
 
-def write_views(
+def write_keyframe_cloud(
     path: Path,
     frames: Iterable[DepthFrame],
     T_map_camera: Array,
     *,
     voxel_size_m: float = 0.02,
 ) -> int:
-    """Write what a saved map keeps of its keyframes as .ply; return the number of points.
+    """Write the point cloud of a saved map's keyframes and return its number of points.
 
-    Colour tells the height: blue is low, red is high.
+    Points are coloured by height, from blue (low) to red (high).
 
     Parameters
     ----------
     path, voxel_size_m
-        As in ``write_map``.
+        As in ``write_sequence_cloud``.
     frames, T_map_camera
-        Views of K keyframes, and their poses (K, 4, 4).
+        The subsampled depth frames of K keyframes, and their poses (K, 4, 4).
     """
     frames, clouds = list(frames), []
     for frame, T in zip(frames, T_map_camera, strict=True):
@@ -90,7 +90,7 @@ def write_views(
 
 
 def _write(path: Path, clouds: Iterable[tuple[Array, Array | None]], voxel_size_m: float) -> int:
-    """Thin clouds of points_map (N, 3) and colours (N, 3), if any, to voxels, and write them."""
+    """Write clouds of points_map (N, 3) with colours (N, 3) or None, one point per voxel."""
     o3d = import_open3d()
     fused = o3d.geometry.PointCloud()
     for points_map, rgb in clouds:
@@ -104,9 +104,9 @@ def _write(path: Path, clouds: Iterable[tuple[Array, Array | None]], voxel_size_
 
 
 def _write_ply(path: Path, points: Array, colors: Array) -> None:
-    """Write points (N, 3) and their colours in [0, 1], (N, 3) or none, as Open3D would.
+    """Write points (N, 3) and colours in [0, 1], (N, 3) or empty, in Open3D's format.
 
-    It writes no empty clouds, and says of a full disk as many lines as there are numbers.
+    Open3D itself cannot write empty clouds, and prints thousands of lines when the disk is full.
     """
     columns = [(name, "double", "<f8", points[:, k]) for k, name in enumerate("xyz")]
     if len(colors):

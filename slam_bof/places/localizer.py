@@ -3,7 +3,7 @@
 Keyframes that look alike propose poses (``recogniser``), and a verifier makes them exact. A pose is
 believed where the keyframes around it, taken together, show nearly all that the image does and
 nothing that contradicts: a wrong pose leaves part of the image unexplained, or in the way. Where
-two places fit, neither is told: rooms may be alike to the millimetre.
+two places are consistent, no pose is returned: rooms may be equal to the millimetre.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from slam_bof.core import Stack, one_blas_thread
+from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import se3, view_points
-from slam_bof.places.map_consistency import FitParams, KnownView, MapFit
-from slam_bof.places.perceptual_aliasing import Aliases, AliasParams
+from slam_bof.places.map_consistency import KnownView, MapConsistency, MapConsistencyParams
+from slam_bof.places.perceptual_aliasing import PerceptualAliases, PerceptualAliasParams
 from slam_bof.places.pose_hypotheses import (
-    Witness,
-    WitnessStand,
+    HypothesisRegistration,
+    PoseHypothesis,
     are_near,
-    group_witnesses,
+    group_hypotheses,
     mean_pose,
 )
 from slam_bof.places.recogniser import PlaceMatch, PlaceRecogniser, RecogniserParams
@@ -37,15 +37,35 @@ __all__ = ["Localization", "LocalizationParams", "Localizer"]
 class LocalizationParams(Params):
     """What a pose must have for it to be told."""
 
-    n_verified: int = Field(10, gt=0, description="keyframes that look most alike are verified")
-    min_points: int = Field(100, ge=0, description="of the image; with fewer nothing is known")
-    same_m: float = Field(0.15, gt=0, description="poses that differ by less, and ...")
-    same_rad: float = Field(0.1, gt=0, description="... are turned by less, are one place")
-    apart_m: float = Field(0.25, gt=0, description="poses that differ by more, or ...")
-    apart_rad: float = Field(0.17, gt=0, description="... are turned by more, are two places")
-    n_refined: int = Field(5, gt=0, description="near keyframes that the pose is the mean of")
-    fit: FitParams = FitParams()
-    aliases: AliasParams = AliasParams()
+    n_verified: int = Field(
+        10,
+        gt=0,
+        description="Number of keyframes that are verified, best first.",
+    )
+    min_points: int = Field(
+        100,
+        ge=0,
+        description="Smallest number of points that an image needs to be localised.",
+    )
+    same_m: float = Field(0.15, gt=0, description="Poses closer than this, in m, are one place.")
+    same_rad: float = Field(
+        0.1,
+        gt=0,
+        description="Poses whose directions differ by less than this, in rad, are one place.",
+    )
+    apart_m: float = Field(
+        0.25,
+        gt=0,
+        description="Poses farther apart than this, in m, are different places.",
+    )
+    apart_rad: float = Field(
+        0.17,
+        gt=0,
+        description="Poses whose directions differ by more than this, in rad, are distinct places.",
+    )
+    n_refined: int = Field(5, gt=0, description="Number of keyframes near the pose that refine it.")
+    consistency: MapConsistencyParams = MapConsistencyParams()
+    aliases: PerceptualAliasParams = PerceptualAliasParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,10 +134,10 @@ class Localizer:
         self._recogniser = PlaceRecogniser(
             recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
         )
-        self._T_map_camera = Stack((4, 4), np.float64)
-        self._stand = WitnessStand(verifier, self._T_map_camera)
-        self._map = MapFit(self._recogniser, self._T_map_camera, self.params.fit)
-        self._aliases = Aliases(
+        self._T_map_camera = GrowingArray((4, 4), np.float64)
+        self._stand = HypothesisRegistration(verifier, self._T_map_camera)
+        self._map = MapConsistency(self._recogniser, self._T_map_camera, self.params.consistency)
+        self._aliases = PerceptualAliases(
             self._recogniser, self._stand, self._map, self._T_map_camera, self.params.aliases
         )
 
@@ -178,8 +198,8 @@ class Localizer:
         if n_points < self.params.min_points:
             return Localization(reason=f"the image shows too little: {n_points} points")
         with (
-            self._recogniser.guest(frame, gravity_camera=gravity_camera) as view_id,
-            self._stand.guest(frame) as prepared,
+            self._recogniser.temporary_query(frame, gravity_camera=gravity_camera) as view_id,
+            self._stand.temporary_query(frame) as prepared,
         ):
             query = _Query(self._map.known_view(view_id, frame.intrinsics), prepared)
             matches = self._recogniser.recognise_alone(view_id, len(self))
@@ -190,23 +210,25 @@ class Localizer:
         p = self.params
         ids = [match.view_id for match in matches]
         guesses = np.array([match.T_match_query for match in matches])
-        witnesses, refused = self._stand.hear(query.prepared, ids, guesses)
-        if not witnesses:
+        hypotheses, refused = self._stand.register(query.prepared, ids, guesses)
+        if not hypotheses:
             return Localization(reason=f"no keyframe shows the same: the most alike, {refused}")
-        places = group_witnesses(witnesses, p.same_m, p.same_rad)
-        fitting, against = self._fit(query, places)
-        if not fitting:
+        places = group_hypotheses(hypotheses, p.same_m, p.same_rad)
+        consistent, against = self._consistency(query, places)
+        if not consistent:
             # One keyframe may be too far to lead to the very place; those around it are nearer.
             nearer = [w for place in places[:2] for w in self._look_around(query, place[0])]
-            fitting, _ = self._fit(query, group_witnesses(nearer, p.same_m, p.same_rad))
-        if not fitting:
+            consistent, _ = self._consistency(query, group_hypotheses(nearer, p.same_m, p.same_rad))
+        if not consistent:
             return Localization(reason=against)
-        if len(fitting) > 1:
-            a, b = (place[0].keyframe_id for place in fitting[:2])
-            return Localization(reason=f"{len(fitting)} places fit: by keyframes {a} and {b}")
-        (place,) = fitting
-        best = max(place, key=lambda witness: witness.verified.overlap)
-        elsewhere = self._aliases.object(query.view, best.T_map_view)
+        if len(consistent) > 1:
+            a, b = (place[0].keyframe_id for place in consistent[:2])
+            return Localization(
+                reason=f"{len(consistent)} places are consistent: by keyframes {a} and {b}"
+            )
+        (place,) = consistent
+        best = max(place, key=lambda hypothesis: hypothesis.verified.overlap)
+        elsewhere = self._aliases.reason_against(query.view, best.T_map_view)
         if elsewhere:
             return Localization(reason=elsewhere)
         return Localization(
@@ -217,31 +239,31 @@ class Localizer:
             tuple(sorted(w.keyframe_id for w in place if w is not best)),
         )
 
-    def _fit(
-        self, query: _Query, places: Sequence[list[Witness]]
-    ) -> tuple[list[list[Witness]], str]:
+    def _consistency(
+        self, query: _Query, places: Sequence[list[PoseHypothesis]]
+    ) -> tuple[list[list[PoseHypothesis]], str]:
         """Return the places that the map has nothing against, and what it has against the first."""
         p = self.params
-        fitting: list[list[Witness]] = []
+        consistent: list[list[PoseHypothesis]] = []
         against = ""
         for place in places:
             T = place[0].T_map_view
-            objection = self._map.object(query.view, T)
-            against = against or f"by keyframe {place[0].keyframe_id}, {objection}"
-            if objection or any(
-                are_near(T, other[0].T_map_view, p.apart_m, p.apart_rad) for other in fitting
+            reason_against = self._map.reason_against(query.view, T)
+            against = against or f"by keyframe {place[0].keyframe_id}, {reason_against}"
+            if reason_against or any(
+                are_near(T, other[0].T_map_view, p.apart_m, p.apart_rad) for other in consistent
             ):
                 continue
-            fitting.append(place)
-        return fitting, against
+            consistent.append(place)
+        return consistent, against
 
-    def _look_around(self, query: _Query, witness: Witness) -> list[Witness]:
+    def _look_around(self, query: _Query, hypothesis: PoseHypothesis) -> list[PoseHypothesis]:
         """Return what the keyframes nearest to a pose make of it."""
-        nearest = self._map.nearest(query.view, witness.T_map_view, self.params.n_refined)
-        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ witness.T_map_view
-        return self._stand.hear(query.prepared, nearest.tolist(), T_near_query)[0]
+        nearest = self._map.nearest(query.view, hypothesis.T_map_view, self.params.n_refined)
+        T_near_query = se3.inverse(self._T_map_camera.rows[nearest]) @ hypothesis.T_map_view
+        return self._stand.register(query.prepared, nearest.tolist(), T_near_query)[0]
 
-    def _refine(self, query: _Query, best: Witness) -> Pose:
+    def _refine(self, query: _Query, best: PoseHypothesis) -> Pose:
         """Return the mean of what the nearest keyframes make of a pose."""
         p, T = self.params, best.T_map_view
         around = self._look_around(query, best)

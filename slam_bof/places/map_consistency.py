@@ -2,7 +2,7 @@
 
 The keyframes around the pose, taken together, must show nearly all that the view does, and nothing
 that contradicts. How nearly depends on the sensor and on the map, so both are asked: what the
-keyframes come to, each judged by those around it, is no objection.
+keyframes come to, each judged by those around it, is no reason against it.
 """
 
 from __future__ import annotations
@@ -13,31 +13,68 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.core import Stack
+from slam_bof.core import GrowingArray
 from slam_bof.geometry import Coverage, se3, view_overlap
 from slam_bof.places.recogniser import PlaceRecogniser
 from slam_bof.types import Array, Intrinsics, Params, Pose
 
-__all__ = ["FitParams", "KnownView", "MapFit"]
+__all__ = ["KnownView", "MapConsistency", "MapConsistencyParams"]
 
 N_POINTS = 200
 
 
-class FitParams(Params):
+class MapConsistencyParams(Params):
     """What a view must have in common with the keyframes around its pose."""
 
-    max_range_m: float = Field(8.0, gt=0, description="how far a view reaches")
-    min_near: float = Field(0.1, gt=0, le=1, description="share of points in a near view")
-    max_near: int = Field(40, gt=0, description="near views that are asked")
-    min_compared: float = Field(0.5, ge=0, le=1, description="of points where the map has depth")
-    max_unseen: float = Field(0.05, ge=0, le=1, description="of these, that the map has elsewhere")
-    max_blocking: float = Field(0.04, ge=0, le=1, description="of these, before what the map has")
-    max_blocked: float = Field(0.05, ge=0, le=1, description="of the map's, before what is seen")
-    noise_factor: float = Field(
-        2.0, ge=0, description="so many times the keyframes' own shares are added to these"
+    max_range_m: float = Field(
+        8.0,
+        gt=0,
+        description="Depth that bounds the frustum of a view, in m.",
     )
-    max_share: float = Field(0.2, ge=0, le=1, description="but none may be more than this")
-    n_usual: int = Field(50, gt=0, description="keyframes whose shares are measured")
+    min_near: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="Smallest share of points that must fall into a keyframe for it to count as "
+        "near.",
+    )
+    max_near: int = Field(
+        40,
+        gt=0,
+        description="Largest number of near keyframes that an image is compared with.",
+    )
+    min_visible_ratio: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Smallest share of points at which the keyframes together have a depth.",
+    )
+    max_outlier_ratio: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Largest share of these that may lie elsewhere than the map has surfaces.",
+    )
+    max_free_space_violation: float = Field(
+        0.04,
+        ge=0,
+        le=1,
+        description="Largest share of these that may stand before the surfaces of the map.",
+    )
+    max_free_space_violation_reverse: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Largest share of points of the map that may stand before the surfaces of the "
+        "image.",
+    )
+    noise_factor: float = Field(
+        2.0,
+        ge=0,
+        description="How many times the median shares of the map itself are added to these limits.",
+    )
+    max_share: float = Field(0.2, ge=0, le=1, description="Upper bound of these limits.")
+    n_reference: int = Field(50, gt=0, description="Number of keyframes whose shares are measured.")
 
 
 class KnownView(NamedTuple):
@@ -49,7 +86,7 @@ class KnownView(NamedTuple):
     camera: Intrinsics
 
 
-class MapFit:
+class MapConsistency:
     """Tells what the keyframes of a map have against a view at a pose.
 
     Parameters
@@ -60,7 +97,9 @@ class MapFit:
         Rows (K, 4, 4), the keyframes' poses; it may grow as the recogniser does.
     """
 
-    def __init__(self, recogniser: PlaceRecogniser, T_map_camera: Stack, params: FitParams) -> None:
+    def __init__(
+        self, recogniser: PlaceRecogniser, T_map_camera: GrowingArray, params: MapConsistencyParams
+    ) -> None:
         self.params = params
         self._recogniser = recogniser
         self._T_map_camera = T_map_camera
@@ -99,17 +138,25 @@ class MapFit:
             self._limits = n, self._measure_limits(camera)
         return self._limits[1]
 
-    def object(self, view: KnownView, T_map_view: Pose) -> str:
+    def reason_against(self, view: KnownView, T_map_view: Pose) -> str:
         """Return what keyframes around a pose have against it, in words, or nothing."""
         found = self.coverage(view, T_map_view)
         if found is None:
             return "no keyframe is near"
         limits = self.limits(view.camera)
         for share, limit, words in (
-            (found.compared, limits.compared, "of the image the map shows {}, below {}"),
-            (found.seen, limits.seen, "of the image {} is as in the map, below {}"),
-            (-found.blocking, -limits.blocking, "of the image {} is before the map's, above {}"),
-            (-found.blocked, -limits.blocked, "of the map {} is before the image's, above {}"),
+            (found.visible_ratio, limits.visible_ratio, "of the image the map shows {}, below {}"),
+            (found.inlier_ratio, limits.inlier_ratio, "of the image {} is as in the map, below {}"),
+            (
+                -found.free_space_violation,
+                -limits.free_space_violation,
+                "of the image {} is before the map's, above {}",
+            ),
+            (
+                -found.free_space_violation_reverse,
+                -limits.free_space_violation_reverse,
+                "of the map {} is before the image's, above {}",
+            ),
         ):
             if share < limit:
                 return words.format(f"{abs(share):.3f}", f"{abs(limit):.3f}")
@@ -121,17 +168,42 @@ class MapFit:
         if found is None:
             return False
         limits = self.limits(view.camera)
-        return found.blocking > limits.blocking or found.blocked > limits.blocked
+        return (
+            found.free_space_violation > limits.free_space_violation
+            or found.free_space_violation_reverse > limits.free_space_violation_reverse
+        )
 
     def _measure_limits(self, camera: Intrinsics) -> Coverage:
         p = self.params
         poses = self._T_map_camera.rows
         shares = []
-        for k in np.unique(np.linspace(0, len(poses) - 1, p.n_usual).astype(int)).tolist():
+        for k in np.unique(np.linspace(0, len(poses) - 1, p.n_reference).astype(int)).tolist():
             found = self.coverage(self.known_view(k, camera), poses[k])
-            if found is not None and found.compared >= p.min_compared:
-                shares.append((1.0 - found.seen, found.blocking, found.blocked))
-        usual = np.median(shares, axis=0) if shares else np.zeros(3)
-        most = np.array([p.max_unseen, p.max_blocking, p.max_blocked]) + p.noise_factor * usual
-        unseen, blocking, blocked = np.minimum(most, p.max_share).tolist()
-        return Coverage(p.min_compared, 1.0 - unseen, blocking, blocked)
+            if found is not None and found.visible_ratio >= p.min_visible_ratio:
+                shares.append(
+                    (
+                        1.0 - found.inlier_ratio,
+                        found.free_space_violation,
+                        found.free_space_violation_reverse,
+                    )
+                )
+        reference = np.median(shares, axis=0) if shares else np.zeros(3)
+        most = (
+            np.array(
+                [
+                    p.max_outlier_ratio,
+                    p.max_free_space_violation,
+                    p.max_free_space_violation_reverse,
+                ]
+            )
+            + p.noise_factor * reference
+        )
+        outlier_ratio, free_space_violation, free_space_violation_reverse = np.minimum(
+            most, p.max_share
+        ).tolist()
+        return Coverage(
+            p.min_visible_ratio,
+            1.0 - outlier_ratio,
+            free_space_violation,
+            free_space_violation_reverse,
+        )

@@ -11,29 +11,59 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.core import Stack
+from slam_bof.core import GrowingArray
 from slam_bof.geometry import se3
-from slam_bof.places.map_consistency import KnownView, MapFit
-from slam_bof.places.pose_hypotheses import WitnessStand, are_near
+from slam_bof.places.map_consistency import KnownView, MapConsistency
+from slam_bof.places.pose_hypotheses import HypothesisRegistration, are_near
 from slam_bof.places.recogniser import PlaceRecogniser
 from slam_bof.types import Array, Intrinsics, Params, Pose
 
-__all__ = ["AliasParams", "Aliases"]
+__all__ = ["PerceptualAliasParams", "PerceptualAliases"]
 
 
-class AliasParams(Params):
+class PerceptualAliasParams(Params):
     """Which keyframes are looked for elsewhere, and where."""
 
-    n_near: int = Field(10, ge=0, description="keyframes around a pose; 0 looks for none")
-    near_m: float = Field(1.5, gt=0, description="and so near to it")
-    n_verified: int = Field(4, gt=0, description="places that look most alike are verified")
-    apart_m: float = Field(0.5, gt=0, description="what is nearer, and ...")
-    apart_rad: float = Field(0.5, gt=0, description="... turned by less, is no other place")
-    same_place_m: float = Field(1.5, gt=0, description="keyframes that are nearer, and ...")
-    same_place_overlap: float = Field(0.3, gt=0, description="... see the same, are not asked")
+    n_near: int = Field(
+        10,
+        ge=0,
+        description="Number of keyframes around a pose that are searched for in the rest of the "
+        "map; 0 turns the check off.",
+    )
+    near_m: float = Field(
+        1.5,
+        gt=0,
+        description="Largest distance of these keyframes from the pose, in m.",
+    )
+    n_verified: int = Field(
+        4,
+        gt=0,
+        description="Number of similar places that are verified for each of them.",
+    )
+    apart_m: float = Field(
+        0.5,
+        gt=0,
+        description="Places closer than this, in m, count as the same.",
+    )
+    apart_rad: float = Field(
+        0.5,
+        gt=0,
+        description="Places whose directions differ by less than this, in rad, count as the same.",
+    )
+    same_place_m: float = Field(
+        1.5,
+        gt=0,
+        description="Keyframes closer than this, in m, may show the same place and are left out of "
+        "the search.",
+    )
+    same_place_overlap: float = Field(
+        0.3,
+        gt=0,
+        description="Share of points that such keyframes must see too to be left out.",
+    )
 
 
-class Aliases:
+class PerceptualAliases:
     """Knows which keyframes of a map show what others, elsewhere, show as well.
 
     What it found is kept, until the map grows.
@@ -42,25 +72,25 @@ class Aliases:
     def __init__(
         self,
         recogniser: PlaceRecogniser,
-        stand: WitnessStand,
-        fit: MapFit,
-        T_map_camera: Stack,
-        params: AliasParams,
+        stand: HypothesisRegistration,
+        consistency: MapConsistency,
+        T_map_camera: GrowingArray,
+        params: PerceptualAliasParams,
     ) -> None:
         self.params = params
         self._recogniser = recogniser
         self._stand = stand
-        self._fit = fit
+        self._consistency = consistency
         self._T_map_camera = T_map_camera
         self._known: dict[int, list[Pose]] = {}
         self._n_keyframes = 0
 
-    def object(self, view: KnownView, T_map_view: Pose) -> str:
+    def reason_against(self, view: KnownView, T_map_view: Pose) -> str:
         """Return where else in the map a view may have been taken, in words, or nothing."""
         for keyframe_id in self._around(T_map_view).tolist():
             for T_other_map in self.of(keyframe_id, view.camera):
                 T_other_view = T_other_map @ T_map_view
-                if not self._fit.contradict(view, T_other_view):
+                if not self._consistency.contradict(view, T_other_view):
                     x, y, z = T_other_view[:3, 3]
                     return f"it may as well be {x:.1f} {y:.1f} {z:.1f}, as keyframe {keyframe_id}"
         return ""
@@ -86,24 +116,24 @@ class Aliases:
     def _find(self, keyframe_id: int, camera: Intrinsics) -> list[Pose]:
         p = self.params
         T_map_camera = self._T_map_camera.rows[keyframe_id]
-        view = self._fit.known_view(keyframe_id, camera)
-        overlaps = self._fit.overlaps(view, T_map_camera)
+        view = self._consistency.known_view(keyframe_id, camera)
+        overlaps = self._consistency.overlaps(view, T_map_camera)
         here = self._distances_m(T_map_camera) < p.same_place_m
         same = here & (overlaps >= p.same_place_overlap)
         same[keyframe_id] = True
         matches = self._recogniser.recognise_alone(
             keyframe_id, len(same), but=np.flatnonzero(same)
         )[: p.n_verified]
-        witnesses, _ = self._stand.hear(
+        hypotheses, _ = self._stand.register(
             self._stand.keyframe(keyframe_id),
             [match.view_id for match in matches],
             np.array([match.T_match_query for match in matches]),
         )
         found: list[Pose] = []
-        for T in (witness.T_map_view for witness in witnesses):
+        for T in (hypothesis.T_map_view for hypothesis in hypotheses):
             known = (T_map_camera, *(T_other_map @ T_map_camera for T_other_map in found))
             if any(are_near(T, other, p.apart_m, p.apart_rad) for other in known):
                 continue
-            if not self._fit.object(view, T):
+            if not self._consistency.reason_against(view, T):
                 found.append(T @ se3.inverse(T_map_camera))
         return found

@@ -81,21 +81,33 @@ class Panorama:
         length = np.linalg.norm(spectrum)
         return np.asarray(spectrum / (length if length > 0 else 1.0)).reshape(self.shape)
 
+    @staticmethod
+    def pack(spectrum: NDArray[np.complex64]) -> tuple[NDArray[np.int8], np.float32]:
+        """Return a spectrum in bytes, (*shape, 2), real and imaginary, and what a step is."""
+        parts = spectrum[..., None].view(np.float32)
+        step = np.float32(np.abs(parts).max() / 127)
+        return np.rint(parts / (step if step > 0 else 1.0)).astype(np.int8), step
+
     def compare(
-        self, spectra: NDArray[np.complex64], query: NDArray[np.complex64]
+        self,
+        packed: NDArray[np.int8],
+        steps: NDArray[np.float32],
+        query: NDArray[np.complex64],
     ) -> NDArray[np.float32]:
-        """Return the highest correlation (n,) of spectra (n, *shape) with a query's, at most 1."""
-        scores = np.empty(len(spectra), np.float32)
+        """Return the highest correlation (n,) of packed spectra with a query's, at most 1."""
+        scores = np.empty(len(packed), np.float32)
         ranges = np.conj(query[:, :, None] * self._shift_r)
         # Of the last product, over azimuth, only the real part is wanted.
         turn = np.concatenate([self._shift_a.real, self._shift_a.imag], axis=1)
-        for start in range(0, len(spectra), CHUNK):
+        for start in range(0, len(packed), CHUNK):
             some = slice(start, start + CHUNK)
             # The views last: then all is contiguous along them.
-            product = ranges @ np.ascontiguousarray(spectra[some].transpose(1, 2, 3, 0))
+            spectra = packed[some].astype(np.float32).view(np.complex64)[..., 0]
+            product = ranges @ np.ascontiguousarray(spectra.transpose(1, 2, 3, 0))
             n_a, n_e, n_r, n = product.shape
             product = self._shift_e.conj() @ product.reshape(n_a, n_e, n_r * n)
             parts = np.concatenate([product.real, product.imag]).reshape(2 * n_a, -1)
             correlation = (turn @ parts).reshape(-1, n_r, n).max(axis=0)
+            correlation *= steps[some]
             scores[some] = (correlation - self._cost_r[:, None]).max(axis=0)
         return scores

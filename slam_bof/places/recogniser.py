@@ -1,14 +1,13 @@
 """Recognise places from depth alone: which earlier view shows the same surfaces, and from where.
 
-Three steps, each on fewer views than the one before: panoramas are compared with all, plans in
-slices with the most alike, and the best of these are aligned and ranked by what both see. What
-the view before was found to match is followed by odometry, and aligned as well: where few views
-are alike enough to be found, the place is still known from a moment ago.
+BOFs of level contours vote for views and motions, and range panoramas are compared with the views
+that have most votes (``view_index``); the best are aligned, and ranked by what both views see.
+Matches of the view before are followed by odometry, and aligned as well: where a view shows too
+little to be found, the place is still known from a moment ago.
 """
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,20 +17,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from slam_bof.core import Stack, one_blas_thread
+from slam_bof.bof import (
+    ConstellationParams,
+    camera_motions,
+    describe_constellation,
+)
+from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import (
     Agreement,
     AlignmentParams,
     Coverage,
     GravityTracker,
     ViewAligner,
-    level_frame,
     make_view,
     se3,
     view_points,
 )
-from slam_bof.places.height_slices import Slices
-from slam_bof.places.range_panorama import Panorama
+from slam_bof.places.view_index import ViewIndex, ViewIndexParams
 from slam_bof.types import Array, DepthFrame, Params, Pose
 
 __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
@@ -46,15 +48,44 @@ Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 class RecogniserParams(Params):
     """How many views each step looks at, and how alignments are ranked."""
 
-    n_plans: int = Field(100, gt=0, description="views whose plans are compared")
-    n_aligned: int = Field(20, ge=0, description="views that are aligned; half may be followed")
-    n_followed: int = Field(5, ge=0, description="matches of the view before that are followed")
-    n_neighbours: int = Field(2, ge=0, description="views before and after such a match")
-    plan_weight: float = Field(0.5, ge=0, description="of plans, the panorama's being 1")
-    enough: float = Field(0.55, ge=0, description="agreement from which more hardly counts")
-    near_bonus: float = Field(0.1, ge=0, description="for a view from the same place")
-    near_m: float = Field(0.3, gt=0, description="which is so far from it")
-    near_deg: float = Field(25.0, gt=0, description="and turned by so much")
+    n_aligned: int = Field(
+        20,
+        ge=0,
+        description="Number of views that are aligned with the query; up to half of them are "
+        "followed.",
+    )
+    n_followed: int = Field(
+        5,
+        ge=0,
+        description="Number of matches of the last view that are followed by odometry.",
+    )
+    n_neighbours: int = Field(
+        2,
+        ge=0,
+        description="Number of views before and after such a match that are aligned too.",
+    )
+    overlap_saturation: float = Field(
+        0.55,
+        ge=0,
+        description="Inlier ratio, less free-space violations, beyond which more hardly counts.",
+    )
+    near_bonus: float = Field(
+        0.1,
+        ge=0,
+        description="Largest bonus in the score for a view from the same viewpoint.",
+    )
+    near_m: float = Field(
+        0.3,
+        gt=0,
+        description="Distance between viewpoints at which that bonus falls off, in m.",
+    )
+    near_deg: float = Field(
+        25.0,
+        gt=0,
+        description="Angle between viewpoints at which that bonus falls off, in degrees.",
+    )
+    constellation: ConstellationParams = ConstellationParams()
+    search: ViewIndexParams = ViewIndexParams()
     alignment: AlignmentParams = AlignmentParams()
 
 
@@ -62,20 +93,20 @@ class RecogniserParams(Params):
 class PlaceMatch:
     """An earlier view aligned with the query.
 
-    ``seen`` is the share of points that both see and ``blocking`` the share that contradicts, as
-    ``agreement.Agreement`` has them; ``score`` ranks.
+    Matches are ranked by ``score``. ``inlier_ratio`` and ``free_space_violation`` are defined in
+    ``slam_bof.geometry.Agreement``.
     """
 
     view_id: int
     score: float
     T_match_query: Pose
-    seen: float
-    blocking: float
+    inlier_ratio: float
+    free_space_violation: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shortlist:
-    """Views that look alike: ``scores`` (n,) of all asked, the best ones' ids and guesses.
+    """Views that agree: ``scores`` (n,) of all asked, the best ones' ids and pose hypotheses.
 
     ``view_ids`` (m,) are best first, ``starts`` (m, S, 4, 4) poses ``T_match_query`` to align from.
     """
@@ -103,7 +134,7 @@ class PlaceRecogniser:
     >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
     ...     view_id = recogniser.add(frame, T_odom_camera)
     ...     for match in recogniser.recognise(view_id, view_id - 20)[:1]:  # the best, of old ones
-    ...         print(match.view_id, match.seen, match.T_match_query)
+    ...         print(match.view_id, match.inlier_ratio, match.T_match_query)
     """
 
     def __init__(
@@ -116,12 +147,9 @@ class PlaceRecogniser:
     ) -> None:
         self.params = params or RecogniserParams()
         self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
-        self._panorama, self._slices = Panorama(), Slices()
-        self._searched: list[int] = []  # views, of which the next two have a row each
-        self._panoramas = Stack(self._panorama.shape, np.complex64)
-        self._plans = Stack(self._slices.shape, np.complex64)
-        self._R_level_camera = Stack((3, 3), np.float64)
-        self._T_odom_camera = Stack((4, 4), np.float64)
+        self._index = ViewIndex(self.params.search)
+        self._R_level_camera = GrowingArray((3, 3), np.float64)
+        self._T_odom_camera = GrowingArray((4, 4), np.float64)
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._before: tuple[int, list[PlaceMatch]] = (0, [])
 
@@ -136,7 +164,9 @@ class PlaceRecogniser:
         return self._add(frame, T_odom_camera, gravity_camera)
 
     @contextmanager
-    def guest(self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None) -> Iterator[int]:
+    def temporary_query(
+        self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
+    ) -> Iterator[int]:
         """Remember a view of which no odometry tells, and forget it when the block ends.
 
         The block may ask with the id that it is given (``recognise_alone``), and must not add
@@ -157,27 +187,23 @@ class PlaceRecogniser:
         """
         if gravity_camera is None:
             # Who looked down at a table most of the time does so again.
-            usual = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
-            tracker = GravityTracker(usual, never_lost=True)
+            reference = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
+            tracker = GravityTracker(reference, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
         view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
         try:
             yield view_id
         finally:
-            self._searched.pop()
-            for stack in (self._panoramas, self._plans):
-                stack.truncate(len(self._searched))
+            self.deactivate()
             for held in (self._aligner, self._T_odom_camera, self._R_level_camera):
                 held.truncate(view_id)
 
-    def set_aside(self) -> None:
+    def deactivate(self) -> None:
         """Leave the newest view out of later searches, for it shows what an older one does.
 
         So searches cost by how much there is to see, not by how long one has looked.
         """
-        self._searched.pop()
-        self._panoramas.truncate(len(self._searched))
-        self._plans.truncate(len(self._searched))
+        self._index.pop()
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Expect views of another odometry, down in whose frame is about ``gravity_odom`` (3,)."""
@@ -200,8 +226,7 @@ class PlaceRecogniser:
     @property
     def nbytes(self) -> int:
         """Bytes of all views remembered."""
-        stacks = (self._panoramas, self._plans, self._R_level_camera)
-        return self._aligner.nbytes + sum(stack.rows.nbytes for stack in stacks)
+        return self._aligner.nbytes + self._index.nbytes + self._R_level_camera.rows.nbytes
 
     def agreement(
         self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
@@ -234,33 +259,16 @@ class PlaceRecogniser:
     def retrieve(
         self, view_id: int, n_views: int, *, but: NDArray[np.integer[Any]] | None = None
     ) -> Shortlist:
-        """Return which of the first ``n_views`` views, ``but`` for some, look alike, unaligned.
+        """Return which of the first ``n_views`` views, ``but`` for some, agree, unaligned.
 
-        Those left out or set aside have a score of -1. The view that asks must not be set aside.
+        The score of those that were not compared, left out or deactivated is -1. The view that
+        asks must not be deactivated.
         """
-        p = self.params
-        n = bisect_left(self._searched, n_views)
-        searched = np.array(self._searched[:n], np.intp)
-        query = self._panoramas.rows[bisect_left(self._searched, view_id)]
-        alike = self._panorama.compare(self._panoramas.rows[:n], query)
-        some = np.argsort(-alike, kind="stable")[: p.n_plans]
-        turned = self._slices.spectra(self._points_level(view_id))
-        alike_plans, T_plan = self._slices.compare(self._plans.rows[some], turned)
-        alike[some] += np.float32(p.plan_weight) * alike_plans
-        left_out = np.isin(searched, [] if but is None else but)
-        alike[left_out] = -1.0
-        best = np.argsort(-alike[some], kind="stable")[: p.n_aligned]
-        best = best[~left_out[some[best]]]
-        view_ids = searched[some[best]]
+        found = self._index.propose(view_id, n_views, self.params.n_aligned, but=but)
         R = self._R_level_camera.rows
-        T_level_query, T_match_level = np.eye(4), np.tile(np.eye(4), (len(best), 1, 1))
-        T_level_query[:3, :3] = R[view_id]
-        T_match_level[:, :3, :3] = R[view_ids].transpose(0, 2, 1)
-        moved = T_match_level @ T_plan[best] @ T_level_query
+        moved = camera_motions(found.motions, R[view_id], R[found.view_ids])
         still = np.broadcast_to(np.eye(4), moved.shape)
-        scores = np.full(max(n_views, 0), -1.0, np.float32)
-        scores[searched] = alike
-        return Shortlist(scores, view_ids, np.stack([moved, still], axis=1))
+        return Shortlist(found.scores, found.view_ids, np.stack([moved, still], axis=1))
 
     @one_blas_thread()
     def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
@@ -278,10 +286,16 @@ class PlaceRecogniser:
         if len(ids) == 0:
             return []
         T = self._aligner.align(view_id, ids, starts)
-        seen, blocking, _ = self._aligner.agreement(view_id, ids, T)
-        scores = self._score(T, seen - blocking)
+        inlier_ratio, free_space_violation, _ = self._aligner.agreement(view_id, ids, T)
+        scores = self._score(T, inlier_ratio - free_space_violation)
         return [
-            PlaceMatch(int(ids[k]), float(scores[k]), T[k], float(seen[k]), float(blocking[k]))
+            PlaceMatch(
+                int(ids[k]),
+                float(scores[k]),
+                T[k],
+                float(inlier_ratio[k]),
+                float(free_space_violation[k]),
+            )
             for k in np.argsort(-scores, kind="stable")
         ]
 
@@ -298,9 +312,7 @@ class PlaceRecogniser:
         for match in matches:
             T_match_query = match.T_match_query @ T_last_query
             T_odom_query = T_odom_camera[match.view_id] @ T_match_query
-            at = bisect_left(self._searched, match.view_id)
-            last = min(at + around + 1, bisect_left(self._searched, len(shortlist.scores)))
-            for near in self._searched[max(0, at - around) : last]:
+            for near in self._index.around(match.view_id, around, len(shortlist.scores)):
                 leads.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
         ids, starts = shortlist.view_ids, shortlist.starts.copy()
         for k, listed in enumerate(ids):
@@ -314,19 +326,13 @@ class PlaceRecogniser:
 
     @one_blas_thread()
     def _add(self, frame: DepthFrame, T_odom_camera: Pose, gravity_camera: Array) -> int:
-        R = level_frame(gravity_camera).astype(np.float32)
+        described = describe_constellation(frame, gravity_camera, self.params.constellation)
         self._aligner.add(make_view(frame))
         self._T_odom_camera.append(T_odom_camera)
-        self._R_level_camera.append(R)
-        self._panoramas.append(self._panorama.spectrum(view_points(frame) @ R.T))
-        view_id = len(self) - 1
-        self._searched.append(view_id)
-        self._plans.append(self._slices.spectra(self._points_level(view_id), np.zeros(1))[0])
-        return view_id
-
-    def _points_level(self, view_id: int) -> NDArray[np.float32]:
-        R_camera_level = self._R_level_camera.rows[view_id].astype(np.float32).T
-        return np.asarray(self._aligner.points_camera(view_id) @ R_camera_level)
+        self._R_level_camera.append(described.R_level_camera)
+        points_level = view_points(frame) @ described.R_level_camera.T.astype(np.float32)
+        self._index.add(len(self) - 1, described.bofs, points_level)
+        return len(self) - 1
 
     def _score(self, T_match_query: Array, agreement: Array) -> Array:
         """Rank by agreement up to what is enough; beyond, by how near the views are."""
@@ -334,5 +340,7 @@ class PlaceRecogniser:
         distance = np.linalg.norm(T_match_query[:, :3, 3], axis=1) / p.near_m
         angle = se3.rotation_angle(T_match_query) / np.radians(p.near_deg)
         near = np.exp(-(distance**2 + angle**2) / 2)
-        more = np.maximum(agreement - p.enough, 0.0)
-        return np.asarray(np.minimum(agreement, p.enough) + 0.1 * more + p.near_bonus * near)
+        more = np.maximum(agreement - p.overlap_saturation, 0.0)
+        return np.asarray(
+            np.minimum(agreement, p.overlap_saturation) + 0.1 * more + p.near_bonus * near
+        )

@@ -2,6 +2,7 @@ from .folder import (
     read_run as read_run,
 )
 from .run import (
+    RunInterrupted as RunInterrupted,
     RunResult as RunResult,
     resume_sequence as resume_sequence,
     run_sequence as run_sequence,

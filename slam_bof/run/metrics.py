@@ -1,4 +1,4 @@
-"""The figures of a run, as ``metrics.json`` has them: flat, SI units, null where unknown."""
+"""The metrics of a run, as ``metrics.json`` has them: flat, SI units, null where unknown."""
 
 from __future__ import annotations
 
@@ -10,102 +10,85 @@ import numpy as np
 
 from slam_bof import evaluation
 from slam_bof.core import StageClock, Usage, peak_rss_mb
+from slam_bof.run.record import RunRecord
 from slam_bof.slam import LoopCloser, SlamResult
-from slam_bof.types import Candidate, Scene, Trajectory
+from slam_bof.types import Candidate, CandidateSource, EdgeKind, Scene, Trajectory
 
-__all__ = ["Metrics", "compute_metrics"]
+__all__ = [
+    "Metrics",
+    "compute_metrics",
+    "cost_metrics",
+    "count_metrics",
+    "scene_metrics",
+    "trajectory_metrics",
+]
 
 Metrics = dict[str, str | int | float | None]
 
 STAGES = ("read", "odometry", "track", "describe", "query", "verify", "optimize", "save", "total")
 
 
-def compute_metrics(
-    *,
-    dataset_name: str,
-    sequence: str,
-    result: SlamResult,
-    closer: LoopCloser,
-    candidates: Sequence[Candidate],
-    groundtruth: Trajectory | None,
-    true_scenes: Sequence[str] | None,
-    smoothed: Sequence[Scene | None],
-    n_regions: int,
-    usage: Usage,
-    clock: StageClock,
-    seed: int,
-) -> Metrics:
-    """Collect everything that can be known of a run.
+def compute_metrics(record: RunRecord) -> Metrics:
+    """Return all metrics of a run."""
+    result = record.result
+    return {
+        "dataset": record.dataset.name,
+        "sequence": record.dataset.sequence,
+        **count_metrics(result, record.closer, record.candidates),
+        **trajectory_metrics(result, record.groundtruth),
+        **scene_metrics(result, record.smoothed, record.true_scenes),
+        "n_regions": record.n_rooms,
+        **cost_metrics(result, record.usage, record.clock),
+        "session": record.closer.map.session,
+        "seed": record.seed,
+        "version": importlib.metadata.version("slam-bof"),
+    }
 
-    ``candidates`` is the audit trail; ``groundtruth`` has a pose for each frame of the
-    sequence, ``true_scenes`` a label for each keyframe, ``smoothed`` what the whole trajectory
-    says of each. All are of this session, and times are those of this process.
-    """
-    n_frames = len(result.optimized)
-    loops = [loop for loop in result.loops if loop.kind == "loop"]
-    considered = [c for c in candidates if c.kind == "loop"]
-    verified = [c for c in considered if not np.isnan(c.rmse_m)]
-    seconds = dict(clock.seconds, total=usage.wall_s)
-    metrics: Metrics = {
-        "dataset": dataset_name,
-        "sequence": sequence,
-        "n_frames": n_frames,
+
+def count_metrics(
+    result: SlamResult, closer: LoopCloser, candidates: Sequence[Candidate]
+) -> Metrics:
+    """Return how many frames, keyframes, candidates and loops a run had."""
+    loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
+    considered = [c for c in candidates if c.kind == EdgeKind.LOOP]
+    return {
+        "n_frames": len(result.optimized),
         "n_frames_skipped": result.n_skipped,
         "n_frames_resumed": result.n_resumed,
         "n_keyframes": len(result.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
         "n_frames_lost": closer.n_frames_lost,
-        "n_parts": closer.n_parts,
+        "n_components": closer.map.n_components,
         "n_candidates": len(considered),
-        "n_verified": len(verified),
-        **{f"n_keyframes_{name}": n for name, n in asdict(closer.loop_counts).items()},
+        "n_verified": sum(not np.isnan(c.rmse_m) for c in considered),
+        **{f"n_keyframes_{name}": n for name, n in asdict(closer.map.loop_counts).items()},
         "n_loops": len(loops),
-        "n_loops_recognised": sum(loop.source != "proximity" for loop in loops),
+        "n_loops_recognised": sum(loop.source != CandidateSource.PROXIMITY for loop in loops),
         "n_loops_rejected": len(considered) - len(loops),
         "n_loops_across": result.n_loops_across,
         "n_edges_left_out": len(result.loops_left_out),
         "n_covisibility_edges": len(result.loops) - len(loops),
-        "ate_odometry_m": None,
-        "ate_m": None,
-        "ate_max_m": None,
-        "rpe_odometry_m": None,
-        "rpe_m": None,
-        "loop_precision": None,
-        "loop_recall": None,
-        "covisibility_precision": None,
-        "scene_accuracy": None,
-        "scene_accuracy_smoothed": None,
-        "n_regions": n_regions,
-        "fps": n_frames / usage.wall_s,
-        "cpu_s": usage.cpu_s,
-        "wall_s": usage.wall_s,
-        "peak_rss_mb": peak_rss_mb(),
-        **{f"stage_ms.{name}": 1e3 * seconds.get(name, 0.0) / max(n_frames, 1) for name in STAGES},
-        "descriptor_bytes_per_frame": _descriptor_bytes(result),
-        "session": closer.session,
-        "seed": seed,
-        "version": importlib.metadata.version("slam-bof"),
     }
-    if groundtruth is not None:
-        metrics |= _against_groundtruth(result, groundtruth)
-    if true_scenes is not None:
-        metrics["scene_accuracy"] = evaluation.scene_accuracy(
-            [k.scene.label if k.scene else None for k in result.keyframes],
-            true_scenes,
-        )
-        metrics["scene_accuracy_smoothed"] = evaluation.scene_accuracy(
-            [scene.label if scene else None for scene in smoothed], true_scenes
-        )
-    return metrics
 
 
-def _against_groundtruth(result: SlamResult, groundtruth: Trajectory) -> Metrics:
+def trajectory_metrics(result: SlamResult, groundtruth: Trajectory | None) -> Metrics:
+    """Return the errors of trajectories and loops by ground truth, None where it is unknown.
+
+    ``groundtruth`` has a pose for each frame of the sequence.
+    """
+    if groundtruth is None:
+        return dict.fromkeys(
+            (
+                *("ate_odometry_m", "ate_m", "ate_max_m", "rpe_odometry_m", "rpe_m"),
+                *("loop_precision", "loop_recall", "covisibility_precision"),
+            )
+        )
     reference = Trajectory(groundtruth.stamps_s[result.indices], groundtruth.poses[result.indices])
     ate_odometry = evaluation.ate(result.odometry, reference)
     ate = evaluation.ate(result.optimized, reference)
     keyframe_indices = [k.frame_index for k in result.keyframes]
-    loops = [loop for loop in result.loops if loop.kind == "loop"]
-    edges = [loop for loop in result.loops if loop.kind == "covisibility"]
+    loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
+    edges = [loop for loop in result.loops if loop.kind == EdgeKind.COVISIBILITY]
     return {
         "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
         "ate_m": ate.rmse_m if ate else None,
@@ -113,12 +96,44 @@ def _against_groundtruth(result: SlamResult, groundtruth: Trajectory) -> Metrics
         "rpe_odometry_m": evaluation.rpe(result.odometry, reference),
         "rpe_m": evaluation.rpe(result.optimized, reference),
         "loop_precision": evaluation.loop_precision(loops, keyframe_indices, reference),
-        "covisibility_precision": evaluation.loop_precision(edges, keyframe_indices, reference),
         "loop_recall": evaluation.loop_recall(loops, keyframe_indices, reference),
+        "covisibility_precision": evaluation.loop_precision(edges, keyframe_indices, reference),
     }
 
 
-def _descriptor_bytes(result: SlamResult) -> float:
-    """Return the mean size of a keyframe's bag."""
+def scene_metrics(
+    result: SlamResult, smoothed: Sequence[Scene | None], true_scenes: Sequence[str] | None
+) -> Metrics:
+    """Return the share of keyframes with the right label, None without true labels."""
+    labels = {
+        "scene_accuracy": [keyframe.scene for keyframe in result.keyframes],
+        "scene_accuracy_smoothed": smoothed,
+    }
+    if true_scenes is None:
+        return dict.fromkeys(labels)
+    return {
+        name: evaluation.scene_accuracy(
+            [scene.label if scene else None for scene in scenes], true_scenes
+        )
+        for name, scenes in labels.items()
+    }
+
+
+def cost_metrics(result: SlamResult, usage: Usage, clock: StageClock) -> Metrics:
+    """Return speed, time and memory of this process; stages are means per frame."""
+    n_frames = len(result.optimized)
+    seconds = dict(clock.seconds, total=usage.wall_s)
+    return {
+        "fps": n_frames / usage.wall_s,
+        "cpu_s": usage.cpu_s,
+        "wall_s": usage.wall_s,
+        "peak_rss_mb": peak_rss_mb(),
+        **{f"stage_ms.{name}": 1e3 * seconds.get(name, 0.0) / max(n_frames, 1) for name in STAGES},
+        "descriptor_bytes_per_frame": _mean_bag_bytes(result),
+    }
+
+
+def _mean_bag_bytes(result: SlamResult) -> float:
+    """Return the mean size of a keyframe's bag of words."""
     sizes = [k.bag.words.nbytes + k.bag.weights.nbytes for k in result.keyframes]
     return float(np.mean(sizes)) if sizes else 0.0

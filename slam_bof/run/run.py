@@ -1,4 +1,4 @@
-"""One run of the mini-SLAM over a sequence, and everything that it leaves in its folder."""
+"""One run of the mini-SLAM over a sequence, new or resumed."""
 
 from __future__ import annotations
 
@@ -6,34 +6,33 @@ import importlib.metadata
 import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry
 from slam_bof.errors import MapError
-from slam_bof.maps import write_map
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
-from slam_bof.run.folder import (
-    link_map,
-    logging_to,
-    make_folder,
-    naming_errors,
-    write_audit_trail,
-    write_metrics,
-    write_trajectory,
-)
+from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.metrics import Metrics, compute_metrics
+from slam_bof.run.outputs import write_outputs, write_trajectory
+from slam_bof.run.record import RunRecord
 from slam_bof.scenes import label_map
-from slam_bof.slam import Config, LoopCloser, MiniSlam, config as configs, of_session
-from slam_bof.store import MapStore, MapWriter, Session, SessionResult, read_records
+from slam_bof.slam import (
+    Config,
+    LoopCloser,
+    MiniSlam,
+    SlamResult,
+    config as configs,
+    of_session,
+)
+from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
 from slam_bof.types import Step
-from slam_bof.visualization import ReportData, write_report
 
-__all__ = ["RunResult", "resume_sequence", "run_sequence"]
+__all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
 
-LEFT_OUT = "contradicts the other loops, weighed all together at the end"
-MANY_LOST = 0.1
-"""Share of lost frames above which a run says so."""
+LEFT_OUT_REASON = "inconsistent with the other loops in the final optimisation"
+MAX_LOST_RATIO = 0.1
+"""Share of lost frames above which a run warns."""
 
 logger = logging.getLogger(__name__)
 
@@ -46,28 +45,39 @@ class RunResult:
     metrics: Metrics
 
 
-class Watcher:
-    """The observer of a run: logs where odometry is lost and what goes wrong, passes all on."""
+class RunInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a run, whose saved keyframes can be resumed from its folder."""
+
+    def __init__(self, folder: Path, n_frames: int) -> None:
+        super().__init__(f"{folder}: interrupted after {n_frames} frames")
+        self.folder = folder
+        self.n_frames = n_frames
+
+
+class LoggingObserver:
+    """Logs warnings and where odometry is lost and recovered, and informs another observer."""
 
     def __init__(self, observer: Observer) -> None:
+        self.n_frames = 0
         self._observer = observer
         self._is_lost = False
 
     def on_start(self, n_frames: int) -> None:
-        """Pass on."""
+        """Inform the other observer."""
         self._observer.on_start(n_frames)
 
     def on_step(self, frame_index: int, step: Step) -> None:
-        """Log where odometry is lost and found."""
+        """Log where odometry is lost and recovered, and inform the other observer."""
+        self.n_frames += 1
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(
-                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "found"
+                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "recovered"
             )
         self._observer.on_step(frame_index, step)
 
     def on_warning(self, message: str) -> None:
-        """Log and pass on."""
+        """Log the warning and inform the other observer."""
         logger.warning(message)
         self._observer.on_warning(message)
 
@@ -87,40 +97,40 @@ def run_sequence(
     Parameters
     ----------
     dataset, config
-        What to run, and how.
+        The sequence and all parameters.
     out
-        Where the run gets its folder.
+        The folder in which the run's folder is created.
     map_file
-        A map that the sequence is to be joined to, as another session; if there is none yet, it
-        is made. By default the run makes a map of its own in its folder.
+        A map to which the sequence is added as another session; it is created if it does not
+        exist. By default the run creates a map of its own in its folder.
     observer
-        Looks on.
+        Is informed of every step and warning.
     max_frames
-        Stop after so many.
+        Stop after this many frames.
     remarks
-        Lines for the head of ``run.log``.
+        First lines of ``run.log``.
 
     Raises
     ------
     RunError
-        If the folder cannot be made or written.
+        If the folder cannot be created or written.
     SlamBofError
-        Whatever else the user can mend: the model, a plug-in, the data set, the map.
+        If the model, a plug-in, the data set or the map is missing or unusable.
     """
     config = configs.complete(config)
     job = _Job.prepare(dataset, config, observer, max_frames)
     with ExitStack() as stack:
         store = None
         if map_file is not None:
-            # First of all, so that a bad one, or one in use, leaves no folder behind.
+            # Opened first: a damaged map, or one in use, must leave no folder behind.
             is_there = map_file.exists()
             store = (
                 MapStore.open(map_file, read_only=False) if is_there else MapStore.create(map_file)
             )
             stack.enter_context(store)
-            _check_ready(store, dataset, job.closer.model_hash)
+            _check_ready(store, dataset, job.closer.map.model_hash)
         folder = make_folder(out)
-        stack.enter_context(naming_errors(folder))
+        stack.enter_context(as_run_errors(folder))
         stack.enter_context(logging_to(folder / "run.log"))
         _begin_log(dataset, remarks)
         (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
@@ -129,13 +139,13 @@ def run_sequence(
         else:
             link_map(folder, store.path)
         session = Session(
-            len(store.sessions()),
-            dataset.name,
-            dataset.sequence,
-            configs.dump(config),
-            config.seed,
-            importlib.metadata.version("slam-bof"),
-            max_frames,
+            id=len(store.sessions()),
+            dataset=dataset.name,
+            sequence=dataset.sequence,
+            config=configs.dump(config),
+            seed=config.seed,
+            version=importlib.metadata.version("slam-bof"),
+            max_frames=max_frames,
         )
         return _run(job, folder, store, session, is_new=True)
 
@@ -149,17 +159,18 @@ def resume_sequence(
     max_frames: int | None = None,
     remarks: Sequence[str] = (),
 ) -> RunResult:
-    """Go on with an interrupted run after its last keyframe, to the end that it would have had.
+    """Resume an interrupted run after its last saved keyframe.
 
-    The configuration is that of the run, and so is its folder where the map is in it; the odometry
-    is run again over the frames before. A run that was at its end writes its files again.
+    The configuration is the one saved in the map. The files go to the run's own folder if the map
+    is in it, otherwise to a new one. Odometry runs again over the frames before the last keyframe.
+    A run that was finished writes its files again.
 
     Raises
     ------
     RunError
         If the folder cannot be written.
     SlamBofError
-        Whatever else the user can mend: the map is of another sequence, or none to resume.
+        If the map has no run to resume, or its run is of another sequence.
     """
     with MapStore.open(map_file, read_only=False) as store:
         sessions = store.sessions()
@@ -172,12 +183,12 @@ def resume_sequence(
                 f"{map_file}: found a run of {' '.join(expected)}, expected one of "
                 f"{' '.join(found)}"
             )
-        config = configs.parse(session.config, f"{map_file}: session {session.id}")
+        config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
-        _check_ready(store, dataset, job.closer.model_hash, is_new=False)
+        _check_ready(store, dataset, job.closer.map.model_hash, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
-        with naming_errors(folder), logging_to(folder / "run.log"):
+        with as_run_errors(folder), logging_to(folder / "run.log"):
             _begin_log(dataset, remarks)
             if not is_in_folder:
                 (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
@@ -187,11 +198,11 @@ def resume_sequence(
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """What a run does, and with what; made before anything is written."""
+    """The parts of a run, built before anything is written."""
 
     dataset: Dataset
     config: Config
-    observer: Observer
+    observer: LoggingObserver
     max_frames: int | None
     clock: StageClock
     odometry: Odometry
@@ -201,121 +212,115 @@ class _Job:
     def prepare(
         cls, dataset: Dataset, config: Config, observer: Observer | None, max_frames: int | None
     ) -> _Job:
-        """Build the parts that the configuration names."""
+        """Build the odometry and the plug-in that the configuration names."""
         clock = StageClock()
         odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
         closer = LoopCloser.from_config(config, clock=clock)
-        watcher = Watcher(observer or NullObserver())
-        return cls(dataset, config, watcher, max_frames, clock, odometry, closer)
+        logging_observer = LoggingObserver(observer or NullObserver())
+        return cls(dataset, config, logging_observer, max_frames, clock, odometry, closer)
 
 
 def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: bool) -> RunResult:
-    """Run a session from where the map has it to its end, and write its files."""
-    dataset, config, closer = job.dataset, job.config, job.closer
+    """Run a session to its end, from its start or its last saved keyframe, and write its files."""
+    closer = job.closer
     started = Usage.now()
     with MapWriter(store) as writer:
         _restore(closer, store, session, is_new=is_new)
         closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
-        result = slam.run(dataset, max_frames=job.max_frames)
+        try:
+            result = slam.run(job.dataset, max_frames=job.max_frames)
+        except KeyboardInterrupt:
+            raise RunInterrupted(folder, job.observer.n_frames) from None
     write_trajectory(folder, "odometry", result.odometry)
     write_trajectory(folder, "optimized", result.optimized)
     used = Usage.now() - started
-    if closer.n_frames_lost > MANY_LOST * len(result.indices):
+    if closer.n_frames_lost > MAX_LOST_RATIO * len(result.indices):
         job.observer.on_warning(
-            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little "
-            "depth, or too little in common with what was seen before"
+            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little depth, "
+            "or too little overlap with earlier frames"
         )
-    T_map_camera = closer.backend.poses()
-    smoothed, regions = label_map(
-        closer.keyframes, T_map_camera, config.labels, config.regions, parts=closer.parts
-    )
-    left_out = closer.loops_left_out
-    store.finish(
-        session.id,
-        SessionResult(
-            closer.frames_since_keyframe, T_map_camera, smoothed, regions, left_out, LEFT_OUT
-        ),
-    )
-    first = closer.first_keyframe
-    candidates = of_session(store.candidates(), range(first, len(closer.keyframes)))
-    closer.backend.write_g2o(folder / "pose_graph.g2o")
-    groundtruth = dataset.groundtruth()
-    scenes = dataset.scenes()
-    frames = [int(result.indices[k.frame_index]) for k in result.keyframes]
-    true_scenes = None if scenes is None else [scenes[i] for i in frames]
-    metrics = compute_metrics(
-        dataset_name=dataset.name,
-        sequence=dataset.sequence,
-        result=result,
-        closer=closer,
-        candidates=candidates,
-        groundtruth=groundtruth,
-        true_scenes=true_scenes,
-        smoothed=smoothed[first:],
-        n_regions=len(regions),
-        usage=used,
-        clock=job.clock,
-        seed=config.seed,
-    )
-    write_metrics(folder / "metrics.json", metrics)
-    if groundtruth is not None:
-        write_trajectory(folder, "groundtruth", groundtruth)
-    write_audit_trail(folder / "loops.csv", candidates, result.keyframes)
-    write_map(folder / "map.ply", dataset, frames, result.T_map_camera)
-    write_report(
-        folder / "report.html",
-        ReportData(
-            metrics=metrics,
-            odometry=result.odometry,
-            optimized=result.optimized,
-            groundtruth=groundtruth,
-            keyframes=[
-                replace(keyframe, smoothed=scene)
-                for keyframe, scene in zip(result.keyframes, smoothed[first:], strict=True)
-            ],
-            loops=result.loops,
-            candidates=candidates,
-            true_scenes=true_scenes,
-        ),
-    )
+    record = _finish(job, store, session, result, used)
+    metrics = compute_metrics(record)
+    write_outputs(folder, record, metrics)
     logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])
     return RunResult(folder, metrics)
 
 
+def _finish(
+    job: _Job, store: MapStore, session: Session, result: SlamResult, used: Usage
+) -> RunRecord:
+    """Label the whole map, finish the session in it, and return the record of the run."""
+    dataset, config, closer = job.dataset, job.config, job.closer
+    T_map_camera, first = closer.map.backend.poses(), closer.map.first_keyframe
+    smoothed, rooms = label_map(
+        closer.map.keyframes,
+        T_map_camera,
+        config.labels,
+        config.rooms,
+        components=closer.map.components,
+    )
+    store.finish(
+        session.id,
+        SessionResult(
+            frames=closer.frames_since_keyframe,
+            T_map_camera=T_map_camera,
+            smoothed=smoothed,
+            regions=rooms,
+            left_out=closer.map.loops_left_out,
+            reason=LEFT_OUT_REASON,
+        ),
+    )
+    scenes = dataset.scenes()
+    frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
+    return RunRecord(
+        dataset=dataset,
+        closer=closer,
+        seed=config.seed,
+        result=result,
+        candidates=of_session(store.candidates(), range(first, len(closer.map.keyframes))),
+        smoothed=smoothed[first:],
+        n_rooms=len(rooms),
+        groundtruth=dataset.groundtruth(),
+        true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
+        usage=used,
+        clock=job.clock,
+    )
+
+
 def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
-    """Bring the closer to where the map has the session, and begin it if it is new."""
-    closer.restore(read_records(store, as_before=None if is_new else session.id))
-    while closer.session < session.id:
+    """Restore the closer from the map; begin the session in both if it is new."""
+    closer.restore(replay_keyframes(store, reopened_session=None if is_new else session.id))
+    while closer.map.session < session.id:
         closer.begin_session()
     if is_new:
-        store.set_parameters({"model": closer.model_hash})
+        store.set_parameters({"model": closer.map.model_hash})
         store.begin_session(session)
 
 
 def _check_ready(store: MapStore, dataset: Dataset, model: str, *, is_new: bool = True) -> None:
-    """Check that the map can take the data set as another session, or go on with its last one."""
+    """Check that a session of the data set can be added to the map, or its last one resumed."""
     sessions, found = store.sessions(), store.parameters().get("model", model)
     if is_new and sessions and not sessions[-1].is_finished:
         raise MapError(
-            f"{store.path}: found that its last run, of {sessions[-1].sequence}, was interrupted, "
+            f"{store.path}: found an interrupted run of {sessions[-1].sequence}, "
             "expected a finished one: resume it first"
         )
     if found != model:
         raise MapError(
-            f"{store.path}: found words of model {found[:12]}, expected those of {model[:12]}: "
-            "a map is of one model"
+            f"{store.path}: found a map made with model {found[:12]}, expected {model[:12]}: "
+            "all sessions of a map use one model"
         )
     camera = store.intrinsics()
     if camera not in (None, dataset.intrinsics):
         raise MapError(
             f"{store.path}: found {camera}, expected {dataset.intrinsics}, the camera of "
-            f"{dataset.sequence}: a map is of one camera"
+            f"{dataset.sequence}: all sessions of a map use one camera"
         )
 
 
 def _is_folder_of(folder: Path, session: Session) -> bool:
-    """Tell whether a folder is that of a session's run, and not of one that had ended before."""
+    """Return whether a folder is the one of a session's run, not of an earlier, finished run."""
     has_ended = (folder / "metrics.json").exists()
     is_own = session.is_finished and session.id == 0 if has_ended else True
     return (folder / "config.yaml").exists() and is_own

@@ -3,19 +3,19 @@ from .bag_classifier import (
     SceneClassifier as SceneClassifier,
 )
 from .classifiers import (
-    MACHINES as MACHINES,
-    Found as Found,
-    MachineName as MachineName,
-    make_machine as make_machine,
+    CLASSIFIERS as CLASSIFIERS,
+    ClassifierName as ClassifierName,
+    SvmParams as SvmParams,
+    make_classifier as make_classifier,
     search_svm as search_svm,
 )
 from .folds import (
-    cut_stretches as cut_stretches,
-    grouped_folds as grouped_folds,
-    moments as moments,
+    cut_segments as cut_segments,
+    frame_groups as frame_groups,
+    make_folds as make_folds,
 )
 from .hmm_filter import (
-    UNKNOWN as UNKNOWN,
+    UNKNOWN_LABEL as UNKNOWN_LABEL,
     SceneFilter as SceneFilter,
     SceneFilterParams as SceneFilterParams,
 )
@@ -24,9 +24,9 @@ from .labeller import (
     Labeller as Labeller,
 )
 from .levelled_classifier import (
-    LevelledView as LevelledView,
-    LevelScenes as LevelScenes,
-    look as look,
+    LevelledClassifier as LevelledClassifier,
+    LevelledFeatures as LevelledFeatures,
+    levelled_features as levelled_features,
 )
 from .map_labels import (
     label_map as label_map,
@@ -36,14 +36,14 @@ from .model import (
     classifier_bytes as classifier_bytes,
 )
 from .room_segmentation import (
-    Region as Region,
-    RegionParams as RegionParams,
+    MapRoom as MapRoom,
+    RoomSegmentationParams as RoomSegmentationParams,
 )
 from .single_image import (
     label_image as label_image,
 )
 from .training import (
-    Descriptors as Descriptors,
+    FrameDescriptors as FrameDescriptors,
     TrainingFrame as TrainingFrame,
     describe_frames as describe_frames,
     fit_model as fit_model,

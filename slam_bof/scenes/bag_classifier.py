@@ -11,48 +11,52 @@ from scipy import sparse
 from scipy.special import expit
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.calibration import CalibratedClassifierCV
-from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 from sklearn.utils import Tags
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
 
-from slam_bof.scenes.classifiers import MachineName, make_machine
+from slam_bof.scenes.classifiers import ClassifierName, check_class_counts, make_classifier
+from slam_bof.scenes.folds import make_folds
 from slam_bof.types import Array, Bag, Scene
 
 __all__ = ["SceneClassifier"]
 
+STORED_NAMES = {"classifier": "machine"}
+"""Parameters that model files name differently."""
+
 
 @dataclass(eq=False, repr=False)
 class SceneClassifier(ClassifierMixin, BaseEstimator):
-    """A support vector machine on square-rooted bags, with calibrated probabilities.
+    """A classifier of square-rooted bags of words, with calibrated probabilities.
 
-    The square root turns the machine's inner products into the Bhattacharyya coefficients of
-    bags (Hellinger kernel). Probabilities are Platt's, fitted on held-out folds.
+    The square root turns inner products into the Bhattacharyya coefficients of bags (Hellinger
+    kernel). Probabilities are Platt's, fitted on held-out folds.
 
     Parameters
     ----------
     kernel
-        ``linear``, or ``rbf`` as the paper has it; of the support vector machine.
+        Kernel of the support vector machine: ``linear``, or ``rbf`` as in the paper.
     C
         Cost of a training error.
-    gamma
-        Width of the ``rbf`` kernel, or "scale" for scikit-learn's choice.
-    machine
-        None for the support vector machine, or another of ``machines.MACHINES``.
     n_folds
-        For calibration; fewer where the smallest class has fewer samples (or groups).
+        Number of folds for calibration; fewer where the smallest class has fewer samples (or
+        groups).
     seed
-        Of the folds and the solver.
+        Seed of the folds and the solver.
+    gamma
+        Width of the ``rbf`` kernel, or "scale" for scikit-learn's default.
+    classifier
+        None for the support vector machine with ``kernel``, or one of ``CLASSIFIERS``.
 
     Attributes
     ----------
     classes_ : (n_classes,)
         The labels, sorted.
     classifier_ : CalibratedClassifierCV
-        The fitted machine.
+        The fitted classifier.
     """
 
-    # Model files name the class by this path, and their content hash is of that name too.
+    # Model files name the class by this path, and their content hash depends on it.
     __module__ = "slam_bof.scenes"
 
     kernel: Literal["linear", "rbf"] = "linear"
@@ -60,13 +64,19 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
     n_folds: int = 5
     seed: int = 0
     gamma: float | Literal["scale"] = "scale"
-    machine: MachineName | None = None
+    classifier: ClassifierName | None = None
 
     def fit(self, X: Any, y: Any, groups: ArrayLike | None = None) -> Self:
-        """Learn from bags (n_frames, n_words), dense or csr, and their labels.
+        """Learn from bags and their labels.
 
-        ``groups`` (n_frames,) names the sequence of each frame: frames of one sequence, which
-        look alike, then never stand on both sides of a calibration fold.
+        Parameters
+        ----------
+        X
+            (n_frames, n_words) bags of words, dense or csr.
+        y
+            (n_frames,) labels.
+        groups
+            (n_frames,) group of each frame, such as its sequence; no calibration fold splits one.
 
         Raises
         ------
@@ -76,17 +86,14 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
         X, y = validate_data(self, X, y, accept_sparse="csr", dtype=np.float64)
         check_classification_targets(y)
         self.classes_, counts = np.unique(y, return_counts=True)
-        if len(self.classes_) < 2 or counts.min() < 2:
-            found = ", ".join(f"{c}: {n}" for c, n in zip(self.classes_, counts, strict=True))
-            raise ValueError(
-                f"y must hold at least 2 classes of at least 2 samples each, got "
-                f"{len(self.classes_)} class{'es' * (len(self.classes_) > 1)} ({found})"
-            )
+        check_class_counts(self.classes_, counts)
         self.classifier_ = CalibratedClassifierCV(
-            self._machine(), cv=self.folds(y, groups), ensemble=False
+            make_classifier(self._name(), C=self.C, gamma=self.gamma, seed=self.seed),
+            cv=make_folds(y, groups, self.n_folds, self.seed),
+            ensemble=False,
         )
         self.classifier_.fit(_hellinger(X), y)
-        # The folds have served: they would only swell the model file.
+        # The folds are no longer needed and would only enlarge the model file.
         self.classifier_.cv = None
         return self
 
@@ -102,7 +109,7 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
         return np.asarray(self.classes_[probabilities.argmax(axis=1)])
 
     def predict_bag(self, bag: Bag) -> Scene:
-        """Return the scene of one bag; of an empty one, what the machine says of nothing."""
+        """Return the scene of one bag; an empty bag is classified like any other."""
         check_is_fitted(self, "classifier_")
         if self._name() == "svm-linear":
             probabilities = self._linear_probabilities(bag)
@@ -124,17 +131,23 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
         tags.input_tags.positive_only = True
         return tags
 
-    def _name(self) -> MachineName:
-        return self.machine or ("svm-linear" if self.kernel == "linear" else "svm-rbf")
+    def __getstate__(self) -> dict[str, Any]:
+        # Model files call this parameter "machine", as the first version of them did.
+        state: dict[str, Any] = super().__getstate__()
+        return {STORED_NAMES.get(name, name): value for name, value in state.items()}
 
-    def _machine(self) -> Any:
-        return make_machine(self._name(), C=self.C, gamma=self.gamma, seed=self.seed)
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        names = {stored: name for name, stored in STORED_NAMES.items()}
+        super().__setstate__({names.get(name, name): value for name, value in state.items()})
+
+    def _name(self) -> ClassifierName:
+        return self.classifier or ("svm-linear" if self.kernel == "linear" else "svm-rbf")
 
     def _linear_probabilities(self, bag: Bag) -> Array:
-        """Return what ``classifier_.predict_proba`` does, without its slow checks."""
+        """Return what ``classifier_.predict_proba`` returns, without its slow checks."""
         (calibrated,) = self.classifier_.calibrated_classifiers_
-        machine = calibrated.estimator
-        margins = machine.coef_[:, bag.words] @ np.sqrt(bag.weights) + machine.intercept_
+        svm = calibrated.estimator
+        margins = svm.coef_[:, bag.words] @ np.sqrt(bag.weights) + svm.intercept_
         slopes = np.array([sigmoid.a_ for sigmoid in calibrated.calibrators])
         offsets = np.array([sigmoid.b_ for sigmoid in calibrated.calibrators])
         positive: Array = expit(-(slopes * margins + offsets))
@@ -142,19 +155,6 @@ class SceneClassifier(ClassifierMixin, BaseEstimator):
             return np.concatenate([1.0 - positive, positive])
         total = positive.sum()
         return positive / total if total > 0 else np.full_like(positive, 1 / len(positive))
-
-    def folds(self, y: NDArray[Any], groups: ArrayLike | None) -> list[Any]:
-        """Return the (train, test) indices of the calibration folds."""
-        samples = np.arange(len(y)) if groups is None else np.asarray(groups)
-        smallest = min(len(np.unique(samples[y == label])) for label in np.unique(y))
-        n_folds = min(self.n_folds, smallest)
-        if n_folds >= 2 and groups is not None:
-            by_group = StratifiedGroupKFold(n_folds, shuffle=True, random_state=self.seed)
-            return list(by_group.split(y, y, samples))
-        # A class that one sequence alone shows cannot be split by sequence.
-        n_folds = min(self.n_folds, np.unique(y, return_counts=True)[1].min())
-        by_sample = StratifiedKFold(n_folds, shuffle=True, random_state=self.seed)
-        return list(by_sample.split(y, y))
 
 
 def _hellinger(X: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Folds for cross-validation: groups of frames that must not be split."""
+"""Folds for cross-validation: frames of one group never stand on both sides of a fold."""
 
 from __future__ import annotations
 
@@ -7,66 +7,93 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from sklearn.model_selection import StratifiedGroupKFold
+from numpy.typing import ArrayLike, NDArray
+from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 
 from slam_bof.datasets import LabelledFrame, sequence_names
 
-__all__ = ["cut_stretches", "grouped_folds", "moments"]
+__all__ = ["cut_segments", "frame_groups", "make_folds"]
 
-N_BLOCKS = 5
-"""Stretches that a sequence is cut into, where its class has too few sequences to tell apart."""
+N_SEGMENTS = 5
+"""Number of segments that a sequence is cut into where its class has fewer sequences than that."""
 
-
-def moments(frames: Sequence[LabelledFrame]) -> list[str]:
-    """Name, for each frame, what shows the same as its neighbours: never to be split.
-
-    That is its sequence, cut as ``cut_stretches`` does it.
-    """
-    return cut_stretches([frame.label for frame in frames], sequence_names(frames))
+Fold = tuple[NDArray[np.intp], NDArray[np.intp]]
+"""Indices of the samples to train with, and of those to test with."""
 
 
-def cut_stretches(labels: Sequence[str], sequences: Sequence[str]) -> list[str]:
-    """Cut sequences into stretches in time, where a class has too few to tell apart.
+def frame_groups(frames: Sequence[LabelledFrame]) -> list[str]:
+    """Return the group of each frame: its sequence, or a segment of it (see ``cut_segments``)."""
+    return cut_segments([frame.label for frame in frames], sequence_names(frames))
+
+
+def cut_segments(labels: Sequence[str], sequences: Sequence[str]) -> list[str]:
+    """Group frames by sequence, and cut sequences into segments where a class has few of them.
+
+    Neighbouring frames are similar, so a fold that splits them overestimates the accuracy.
 
     Parameters
     ----------
     labels, sequences
-        (N,) the class of each frame and the sequence that it is of, in the order of time.
+        (N,) the class of each frame and the name of its sequence, in the order of time.
 
     Returns
     -------
     list of str
-        (N,) the sequence, where its class has at least ``N_BLOCKS`` of them; else one of so many
-        stretches of its class there.
+        (N,) the group of each frame: the sequence where its class has at least ``N_SEGMENTS``
+        sequences, else one of ``N_SEGMENTS`` equally long segments of the frames that this
+        class has in that sequence.
 
     Examples
     --------
-    >>> cut_stretches(["hall"] * 10, ["a"] * 10)[::2]
+    >>> cut_segments(["hall"] * 10, ["a"] * 10)[::2]
     ['a hall 0', 'a hall 1', 'a hall 2', 'a hall 3', 'a hall 4']
     """
-    of_class: dict[str, set[str]] = {}
-    for label, name in zip(labels, sequences, strict=True):
-        of_class.setdefault(label, set()).add(name)
-    stretches = [f"{name} {label}" for label, name in zip(labels, sequences, strict=True)]
-    lengths, seen = Counter(stretches), Counter[str]()
-    found = []
-    for label, name, stretch in zip(labels, sequences, stretches, strict=True):
-        block = N_BLOCKS * seen[stretch] // lengths[stretch]
-        seen[stretch] += 1
-        many = len(of_class[label]) >= N_BLOCKS
-        found.append(name if many else f"{stretch} {block}")
-    return found
+    sequences_of_class: dict[str, set[str]] = {}
+    for label, sequence in zip(labels, sequences, strict=True):
+        sequences_of_class.setdefault(label, set()).add(sequence)
+    names = [f"{sequence} {label}" for label, sequence in zip(labels, sequences, strict=True)]
+    n_frames, n_before = Counter(names), Counter[str]()
+    groups = []
+    for label, sequence, name in zip(labels, sequences, names, strict=True):
+        segment = N_SEGMENTS * n_before[name] // n_frames[name]
+        n_before[name] += 1
+        has_enough = len(sequences_of_class[label]) >= N_SEGMENTS
+        groups.append(sequence if has_enough else f"{name} {segment}")
+    return groups
 
 
-N_FOLDS = 5
+def make_folds(y: ArrayLike, groups: ArrayLike | None, n_folds: int, seed: int) -> list[Fold]:
+    """Return stratified folds that split no group, or folds by sample where that is impossible.
 
+    It is impossible where a class has a single group, or where every frame of a class would be in
+    one test fold, so that training would not see the class.
 
-def grouped_folds(y: NDArray[Any], groups: NDArray[Any], seed: int) -> Any:
-    """Return (train, test) indices of folds that hold different moments, as far as can be."""
-    smallest = min(len(np.unique(groups[y == label])) for label in np.unique(y))
-    if smallest < 2:
-        groups = np.arange(len(y))
-        smallest = int(np.unique(y, return_counts=True)[1].min())
-    n_folds = min(N_FOLDS, smallest)
-    return StratifiedGroupKFold(n_folds, shuffle=True, random_state=seed).split(y, y, groups)
+    Parameters
+    ----------
+    y
+        (N,) class of each sample.
+    groups
+        (N,) group of each sample; None where samples are independent.
+    n_folds
+        Number of folds; fewer where the smallest class has fewer groups (or samples).
+    seed
+        Seed of the shuffling.
+
+    Examples
+    --------
+    >>> folds = make_folds([0, 0, 1, 1], ["a", "b", "c", "d"], n_folds=5, seed=0)
+    >>> [sorted(np.concatenate(fold).tolist()) for fold in folds]
+    [[0, 1, 2, 3], [0, 1, 2, 3]]
+    """
+    y = np.asarray(y)
+    classes, counts = np.unique(y, return_counts=True)
+    if groups is not None:
+        groups = np.asarray(groups)
+        n_grouped = min(n_folds, min(len(np.unique(groups[y == label])) for label in classes))
+        if n_grouped >= 2:
+            splitter: Any = StratifiedGroupKFold(n_grouped, shuffle=True, random_state=seed)
+            folds = list(splitter.split(y, y, groups))
+            if all(len(np.unique(y[train])) == len(classes) for train, _ in folds):
+                return folds
+    splitter = StratifiedKFold(min(n_folds, int(counts.min())), shuffle=True, random_state=seed)
+    return list(splitter.split(y, y))

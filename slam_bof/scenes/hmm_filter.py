@@ -1,13 +1,13 @@
-"""Scene labels as they come: a hidden Markov model over what single keyframes say.
+"""Online scene labels: the forward filter of a hidden Markov model over single keyframes' labels.
 
-The hidden state is the room that the camera is in. It stays the same from one keyframe to the
-next but for a chance that grows with the time and the way between them; where it changes, every
-other room is as likely. What the classifier says of a keyframe is its evidence, to a power below
-1, since neighbours see much the same and err alike.
+The hidden state is the scene that the camera is in. From one keyframe to the next it changes with
+a probability that grows with the time and the distance between them; all other scenes are then
+equally likely. A keyframe's likelihood is the classifier's probability to a power below 1, since
+neighbouring keyframes are similar and their errors are correlated.
 
-A keyframe tells of what it looks at, and who walks looks ahead. The filter counts that as evidence
-of where the camera stands, a little early; that it is slow to believe makes up for it. At the end
-``scene_smoothing`` puts the evidence where it belongs.
+A keyframe shows what lies ahead of the camera, so a walking camera sees the next room early. The
+filter treats that as evidence of where the camera stands; its slow reaction compensates. When the
+run is finished, ``hmm_smoother`` assigns the evidence to the places that were seen.
 """
 
 from __future__ import annotations
@@ -19,53 +19,74 @@ from pydantic import Field
 from slam_bof.types import Array, Params, Scene
 
 __all__ = [
-    "UNKNOWN",
+    "UNKNOWN_LABEL",
     "SceneFilter",
     "SceneFilterParams",
-    "chance_of_change",
-    "decide",
-    "log_evidence",
+    "change_probability",
+    "most_probable_scene",
     "predict",
+    "weighted_log_likelihood",
 ]
 
-UNKNOWN = "unknown"
+UNKNOWN_LABEL = "unknown"
 """The label of a keyframe whose most probable scene is not probable enough."""
-FLOOR = 1e-6
-"""No classifier is surer than this that a scene is none."""
+MIN_PROBABILITY = 1e-6
+"""A classifier's probabilities are clipped from below at this value."""
 
 
 class SceneFilterParams(Params):
-    """How long the camera stays in a room, and how much a single keyframe counts."""
+    """Parameters of the hidden Markov model of scene labels."""
 
-    stay_s: float = Field(60.0, gt=0, description="mean time in a room")
-    stay_m: float = Field(4.0, gt=0, description="mean way within a room")
-    evidence: float = Field(
-        0.2, gt=0, le=1, description="power of a keyframe's probabilities; 1: all independent"
+    mean_stay_s: float = Field(
+        60.0, gt=0, description="Mean time that the camera stays in a room, in seconds."
     )
-    smoothing_evidence: float = Field(
-        0.4, gt=0, le=1, description="the same when all are smoothed at the end"
+    mean_stay_m: float = Field(
+        4.0, gt=0, description="Mean distance that the camera travels within a room, in metres."
     )
-    ahead_m: float = Field(
-        1.0, ge=0, description="smoothing: a keyframe tells of a place so far before the camera"
+    evidence_exponent: float = Field(
+        0.2,
+        gt=0,
+        le=1,
+        description="Exponent of a keyframe's probabilities in the online filter. 1 treats "
+        "keyframes as independent; less takes into account that neighbours are similar.",
+    )
+    smoothing_evidence_exponent: float = Field(
+        0.4,
+        gt=0,
+        le=1,
+        description="Exponent of a keyframe's probabilities when all keyframes are smoothed at "
+        "the end of the run.",
+    )
+    look_ahead_m: float = Field(
+        1.0,
+        ge=0,
+        description="Smoothing assigns a keyframe's evidence to the place this far ahead of the "
+        "camera, in metres.",
     )
     spread_m: float = Field(
-        0.3, gt=0, description="smoothing: Gaussian width of its evidence around that place"
+        0.3,
+        gt=0,
+        description="Standard deviation of the Gaussian that spreads this evidence around that "
+        "place, in metres.",
     )
     min_probability: float = Field(
-        0.4, ge=0, le=1, description="below it the smoothed label is unknown"
+        0.4,
+        ge=0,
+        le=1,
+        description="Least probability of a label; a less probable one becomes 'unknown'.",
     )
 
 
 class SceneFilter:
-    """Labels keyframes one by one, as they come, by all that came before.
+    """Labels keyframes online, each by itself and all keyframes before it.
 
     Examples
     --------
-    >>> seen = Scene("office", 0.9, ("kitchen", "office"), np.array([0.1, 0.9]))
-    >>> glimpse = Scene("kitchen", 0.6, ("kitchen", "office"), np.array([0.6, 0.4]))
+    >>> sure = Scene("office", 0.9, ("kitchen", "office"), np.array([0.1, 0.9]))
+    >>> unsure = Scene("kitchen", 0.6, ("kitchen", "office"), np.array([0.6, 0.4]))
     >>> scenes = SceneFilter(SceneFilterParams())
-    >>> here = [scenes.update(s, 0.5 * k, (0, 0, 0)) for k, s in enumerate([seen, seen, glimpse])]
-    >>> [scene.label for scene in here]
+    >>> labels = [scenes.update(s, 0.5 * k, (0, 0, 0)) for k, s in enumerate([sure, sure, unsure])]
+    >>> [scene.label for scene in labels]
     ['office', 'office', 'office']
     """
 
@@ -79,51 +100,59 @@ class SceneFilter:
     def update(
         self, scene: Scene, stamp_s: float, position_m: ArrayLike, *, segment: int = 0
     ) -> Scene:
-        """Take what the classifier says of a keyframe; return what is likely by now.
+        """Update the belief with a keyframe, and return its filtered label.
 
         Parameters
         ----------
         scene
-            The keyframe's own label, of the same classes every time.
+            The keyframe's own label, with the same classes every time.
         stamp_s, position_m
-            When and where (3,) it is, in any one frame.
+            Time and position (3,) of the keyframe, in one fixed frame.
         segment
-            Where this changes, positions mean nothing to those before.
+            Number of the odometry segment. Positions of different segments are not comparable.
         """
         position_m = np.asarray(position_m, dtype=np.float64)
-        evidence = np.exp(log_evidence(scene.probabilities, self._params.evidence))
+        exponent = self._params.evidence_exponent
+        likelihood = np.exp(weighted_log_likelihood(scene.probabilities, exponent))
         if self._belief is None:
-            belief = evidence
+            belief = likelihood
         else:
-            near = segment == self._segment
-            way_m = float(np.linalg.norm(position_m - self._position_m)) if near else 0.0
-            change = chance_of_change(stamp_s - self._stamp_s, way_m, self._params)
-            belief = evidence * predict(self._belief, change)
+            comparable = segment == self._segment
+            distance_m = float(np.linalg.norm(position_m - self._position_m)) if comparable else 0.0
+            change = change_probability(stamp_s - self._stamp_s, distance_m, self._params)
+            belief = likelihood * predict(self._belief, change)
         self._belief = belief / belief.sum()
         self._stamp_s, self._position_m, self._segment = stamp_s, position_m, segment
-        return decide(self._belief, scene.classes, self._params.min_probability)
+        return most_probable_scene(self._belief, scene.classes, self._params.min_probability)
 
 
-def decide(probabilities: Array, classes: tuple[str, ...], min_probability: float) -> Scene:
-    """Return the most probable scene; ``UNKNOWN`` where that is less probable than asked for."""
+def most_probable_scene(
+    probabilities: Array, classes: tuple[str, ...], min_probability: float
+) -> Scene:
+    """Return the most probable scene; ``UNKNOWN_LABEL`` if it is below ``min_probability``."""
     best = int(probabilities.argmax())
     probability = float(probabilities[best])
-    label = classes[best] if probability >= min_probability else UNKNOWN
+    label = classes[best] if probability >= min_probability else UNKNOWN_LABEL
     return Scene(label, probability, classes, probabilities)
 
 
-def log_evidence(probabilities: Array, power: float) -> Array:
-    """Return the logarithm of what probabilities (..., C) of a classifier weigh."""
-    return np.asarray(power * np.log(np.maximum(probabilities, FLOOR)))
+def weighted_log_likelihood(probabilities: Array, exponent: float) -> Array:
+    """Return the logarithm of probabilities (..., C) of a classifier to the power ``exponent``."""
+    return np.asarray(exponent * np.log(np.maximum(probabilities, MIN_PROBABILITY)))
 
 
-def chance_of_change(seconds: ArrayLike, metres: ArrayLike, params: SceneFilterParams) -> Array:
-    """Return the chance that the room changes in so much time, over so long a way."""
-    rooms = np.maximum(seconds, 0.0) / params.stay_s + np.asarray(metres) / params.stay_m
-    return np.asarray(-np.expm1(-rooms))
+def change_probability(
+    duration_s: ArrayLike, distance_m: ArrayLike, params: SceneFilterParams
+) -> Array:
+    """Return the probability that the scene changes within a time and a distance."""
+    n_changes = (
+        np.maximum(duration_s, 0.0) / params.mean_stay_s
+        + np.asarray(distance_m) / params.mean_stay_m
+    )
+    return np.asarray(-np.expm1(-n_changes))
 
 
 def predict(belief: Array, change: Array | float) -> Array:
-    """Return a distribution (C,), or a likelihood, one step on: the same, or any other."""
+    """Return a belief (C,) after one transition, given the probability of a change."""
     n_others = max(len(belief) - 1, 1)
     return np.asarray((1.0 - change) * belief + change * (belief.sum() - belief) / n_others)

@@ -1,10 +1,9 @@
-"""Scene labels of a finished trajectory, by all keyframes before and after.
+"""Scene labels of a finished trajectory, each by all keyframes before and after it.
 
-What a keyframe shows lies before the camera: whoever leaves a room sees the next one for some
-metres already, and then enters it. Smoothed as evidence of where the camera stands, every label
-would come too early, whatever the model of time. So each keyframe's evidence goes to those that
-stand where it looks, on whichever visit; then the hidden Markov model of ``scene_filter`` runs
-forward and backward.
+A keyframe shows what lies ahead of the camera: a camera that leaves a room sees the next one for
+some metres before it enters it. As evidence of where the camera stands, every label would come too
+early. Therefore each keyframe's evidence is moved to the keyframes that stand where it looks, on
+any visit; then the hidden Markov model of ``hmm_filter`` runs forward and backward.
 """
 
 from __future__ import annotations
@@ -17,21 +16,22 @@ from scipy.spatial import cKDTree
 
 from slam_bof.scenes.hmm_filter import (
     SceneFilterParams,
-    chance_of_change,
-    decide,
-    log_evidence,
+    change_probability,
+    most_probable_scene,
     predict,
+    weighted_log_likelihood,
 )
 from slam_bof.types import Array, Scene
 
 __all__ = ["place_evidence", "smooth"]
 
-N_NEAR = 8
-"""A keyframe's evidence goes to so many others at most."""
-SUREST = 300.0
-"""No room is less likely at a place than by this power of e, whoever looks at it,"""
-LEAST_CHANGE = 1e-9
-"""and no change less likely than this: so that no two of them leave nothing possible."""
+N_NEIGHBOURS = 8
+"""A keyframe's evidence is shared among at most this many keyframes."""
+MAX_LOG_RATIO = 300.0
+"""Largest log-likelihood ratio between two scenes at a keyframe. With ``MIN_CHANGE`` it keeps the
+product of contradicting keyframes from vanishing numerically."""
+MIN_CHANGE = 1e-9
+"""Least probability of a change from one keyframe to the next."""
 
 
 def smooth(
@@ -41,80 +41,88 @@ def smooth(
     params: SceneFilterParams,
     *,
     axes: ArrayLike | None = None,
-    parts: ArrayLike | None = None,
+    components: ArrayLike | None = None,
     segments: ArrayLike | None = None,
     sessions: ArrayLike | None = None,
 ) -> list[Scene]:
-    """Label keyframes by all before and all after them (forward-backward algorithm).
+    """Label keyframes by all keyframes before and after them (forward-backward algorithm).
 
     Parameters
     ----------
     scenes
-        What the classifier says of each of K keyframes, all of the same classes.
+        The classifier's label of each of K keyframes, all of the same classes.
     stamps_s, positions_m
-        (K,) and (K, 3): when and where they are.
+        (K,) times and (K, 3) positions of the keyframes.
     params
-        Of the model.
+        Parameters of the hidden Markov model.
     axes
-        (K, 3) unit vectors: the direction each looks in, in the frame of the positions. By
-        default it counts as evidence of where it stands.
-    parts
-        (K,) the part of the map each is in: positions of different parts mean nothing to each
-        other; by default all are in one.
+        (K, 3) unit vectors of the viewing directions, in the frame of the positions. Without them
+        a keyframe is evidence of where the camera stands.
+    components
+        (K,) component of the pose graph of each keyframe. Positions of different components are
+        not comparable. By default all keyframes are in one component.
     segments
-        (K,) where this changes, positions mean nothing to those before; by default never.
+        (K,) odometry segment of each keyframe. The distance between consecutive keyframes of
+        different segments is unknown. By default all are in one segment.
     sessions
-        (K,) where this changes, time and way mean nothing to those before; by default never.
+        (K,) session of each keyframe. Neither time nor distance between consecutive keyframes of
+        different sessions counts. By default all are of one session.
     """
     if not scenes:
         return []
     positions_m = np.asarray(positions_m, dtype=np.float64)
-    logs = log_evidence(
-        np.array([scene.probabilities for scene in scenes]), params.smoothing_evidence
+    logs = weighted_log_likelihood(
+        np.array([scene.probabilities for scene in scenes]), params.smoothing_evidence_exponent
     )
     if axes is not None:
-        looks_m = positions_m + params.ahead_m * np.asarray(axes, dtype=np.float64)
-        where = np.zeros(len(scenes)) if parts is None else np.asarray(parts)
-        logs = place_evidence(logs, looks_m, positions_m, where, params.spread_m)
-    ways_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
-    ways_m[~np.isfinite(ways_m)] = 0.0
+        seen_m = positions_m + params.look_ahead_m * np.asarray(axes, dtype=np.float64)
+        where = np.zeros(len(scenes)) if components is None else np.asarray(components)
+        logs = place_evidence(logs, seen_m, positions_m, where, params.spread_m)
+    distances_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
+    distances_m[~np.isfinite(distances_m)] = 0.0
     if segments is not None:
-        ways_m[np.diff(np.asarray(segments)) != 0] = 0.0
-    changes = chance_of_change(np.diff(np.asarray(stamps_s, dtype=np.float64)), ways_m, params)
+        distances_m[np.diff(np.asarray(segments)) != 0] = 0.0
+    durations_s = np.diff(np.asarray(stamps_s, dtype=np.float64))
+    changes = change_probability(durations_s, distances_m, params)
     if sessions is not None:
-        # After this chance of a change every room is as likely as any other.
+        # With this probability of a change all scenes are equally likely afterwards.
         changes[np.diff(np.asarray(sessions)) != 0] = 1.0 - 1.0 / logs.shape[1]
-    logs = np.maximum(logs - logs.max(axis=1, keepdims=True), -SUREST)
-    beliefs = _forward_backward(np.exp(logs), np.maximum(changes, LEAST_CHANGE))
+    logs = np.maximum(logs - logs.max(axis=1, keepdims=True), -MAX_LOG_RATIO)
+    beliefs = _forward_backward(np.exp(logs), np.maximum(changes, MIN_CHANGE))
     pairs = zip(beliefs, scenes, strict=True)
-    return [decide(belief, scene.classes, params.min_probability) for belief, scene in pairs]
+    return [
+        most_probable_scene(belief, scene.classes, params.min_probability)
+        for belief, scene in pairs
+    ]
 
 
 def place_evidence(
     logs: Array,
-    looks_m: Array,
+    seen_m: Array,
     positions_m: Array,
-    parts: NDArray[np.generic],
+    components: NDArray[np.generic],
     spread_m: float,
 ) -> Array:
-    """Move the evidence of each keyframe to those that stand where it looks.
+    """Move the evidence of each keyframe to the keyframes that stand where it looks.
 
     Parameters
     ----------
     logs
-        (K, C) logarithms of the evidence.
-    looks_m, positions_m
-        (K, 3) what they look at, and where they stand; those not finite keep their evidence.
-    parts
-        (K,) the part of the map each is in: none gives to another part.
+        (K, C) log-likelihoods.
+    seen_m, positions_m
+        (K, 3) the point that each keyframe looks at, and where it stands. A keyframe keeps its
+        evidence if either is not finite.
+    components
+        (K,) component of the pose graph of each keyframe; evidence stays within a component.
     spread_m
-        Gaussian width of the shares; the ``N_NEAR`` nearest get them, and the nearest one always
-        does.
+        Standard deviation of the Gaussian by which evidence is shared among the ``N_NEIGHBOURS``
+        keyframes nearest to the point; the nearest always gets a share.
 
     Returns
     -------
     Array
-        (K, C), of the same sum: what nobody looks at has none.
+        (K, C) log-likelihoods with the same column sums; zero for a keyframe that stands where no
+        other looks.
 
     Examples
     --------
@@ -124,29 +132,29 @@ def place_evidence(
     array([0., 1., 6.])
     """
     placed = np.zeros_like(logs)
-    known = np.isfinite(positions_m).all(axis=1) & np.isfinite(looks_m).all(axis=1)
+    known = np.isfinite(positions_m).all(axis=1) & np.isfinite(seen_m).all(axis=1)
     placed[~known] = logs[~known]
-    for part in np.unique(parts[known]):
-        ids = np.flatnonzero(known & (parts == part))
-        n_near = min(N_NEAR, len(ids))
-        apart_m, near = cKDTree(positions_m[ids]).query(looks_m[ids], k=n_near)
-        apart_m, near = apart_m.reshape(-1, n_near), near.reshape(-1, n_near)
-        shares = np.exp((apart_m[:, :1] ** 2 - apart_m**2) / (2.0 * spread_m**2))
+    for component in np.unique(components[known]):
+        ids = np.flatnonzero(known & (components == component))
+        n = min(N_NEIGHBOURS, len(ids))
+        distances_m, neighbours = cKDTree(positions_m[ids]).query(seen_m[ids], k=n)
+        distances_m, neighbours = distances_m.reshape(-1, n), neighbours.reshape(-1, n)
+        shares = np.exp((distances_m[:, :1] ** 2 - distances_m**2) / (2.0 * spread_m**2))
         shares /= shares.sum(axis=1, keepdims=True)
-        np.add.at(placed, ids[near], shares[..., None] * logs[ids, None])
+        np.add.at(placed, ids[neighbours], shares[..., None] * logs[ids, None])
     return placed
 
 
-def _forward_backward(evidence: Array, changes: Array) -> Array:
-    """Return the beliefs (K, C) by evidence (K, C) and chances of a change (K - 1,)."""
-    forward, backward = evidence.copy(), np.ones_like(evidence)
+def _forward_backward(likelihoods: Array, changes: Array) -> Array:
+    """Return the beliefs (K, C) given likelihoods (K, C) and change probabilities (K - 1,)."""
+    forward, backward = likelihoods.copy(), np.ones_like(likelihoods)
     forward[0] /= forward[0].sum()
-    for k in range(1, len(evidence)):
+    for k in range(1, len(likelihoods)):
         forward[k] *= predict(forward[k - 1], changes[k - 1])
         forward[k] /= forward[k].sum()
-    for k in range(len(evidence) - 2, -1, -1):
-        # The transitions are symmetric, so looking back is predicting as well.
-        backward[k] = predict(backward[k + 1] * evidence[k + 1], changes[k])
+    for k in range(len(likelihoods) - 2, -1, -1):
+        # The transition matrix is symmetric, so the backward step is a prediction as well.
+        backward[k] = predict(backward[k + 1] * likelihoods[k + 1], changes[k])
         backward[k] /= backward[k].sum()
     beliefs = forward * backward
     return np.asarray(beliefs / beliefs.sum(axis=1, keepdims=True))

@@ -1,4 +1,4 @@
-"""From one depth frame to its scene label: what a trained model says, whatever it looks at."""
+"""Labellers: from one depth frame to its scene label with probabilities."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["BagLabeller", "Labeller"]
 
 
 class Labeller(Protocol):
-    """Says which scene a depth frame shows."""
+    """Labels the scene that a depth frame shows."""
 
     def label(
         self, frame: DepthFrame, *, gravity_camera: Array | None = None, bag: Bag | None = None
@@ -24,24 +24,24 @@ class Labeller(Protocol):
         frame
             The depth image.
         gravity_camera
-            (3,) direction down in the camera frame, where it is known.
+            (3,) direction of gravity in the camera frame, if known.
         bag
-            The frame's bag of words, where it is computed already.
+            The frame's bag of words, if it is already computed.
         """
         ...
 
 
 class BagLabeller:
-    """Labels frames by their bags of words alone, as the paper does."""
+    """Labels frames by their bags of words alone, as in the paper."""
 
-    def __init__(self, describer: PlaceDescriber, scenes: SceneClassifier) -> None:
+    def __init__(self, describer: PlaceDescriber, classifier: SceneClassifier) -> None:
         self._describer = describer
-        self._scenes = scenes
+        self._classifier = classifier
 
     def label(
         self, frame: DepthFrame, *, gravity_camera: Array | None = None, bag: Bag | None = None
     ) -> Scene:
-        """Return the scene of the frame's bag, as ``Labeller`` has it."""
+        """Return the scene of the frame's bag; see ``Labeller.label``."""
         if bag is None:
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
-        return self._scenes.predict_bag(bag)
+        return self._classifier.predict_bag(bag)

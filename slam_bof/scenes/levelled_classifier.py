@@ -1,4 +1,4 @@
-"""Scene labels from levelled views: metric profile and shape words, judged by a small network."""
+"""Scene labels from levelled point clouds: height profile and shape words, then a small network."""
 
 from __future__ import annotations
 
@@ -10,70 +10,86 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.bof import Vocabulary
-from slam_bof.scenes.height_profile import N_PROFILE, measure_profile
-from slam_bof.scenes.levelled_view import level_view
-from slam_bof.scenes.mlp_ensemble import SceneNetwork
-from slam_bof.scenes.shape_words import N_SHAPE, describe_shapes
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
+from slam_bof.scenes.levelled_cloud import levelled_cloud
+from slam_bof.scenes.mlp_ensemble import MlpEnsemble
+from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
-__all__ = ["LevelScenes", "LevelledView", "look"]
+__all__ = ["LevelledClassifier", "LevelledFeatures", "levelled_features"]
 
 N_WORDS = 400
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class LevelledView:
-    """Numbers of one view: its ``profile`` (P,), and its ``shapes`` (C, N_SHAPE)."""
+class LevelledFeatures:
+    """Features of one frame.
+
+    ``profile`` (N_PROFILE_VALUES,) is the height profile, ``shapes`` (C, N_SHAPE_VALUES) has a
+    descriptor of each contour.
+    """
 
     profile: NDArray[np.float32]
     shapes: NDArray[np.float32]
 
 
-def look(frame: DepthFrame, *, gravity_camera: Array | None = None) -> LevelledView:
-    """Return the numbers of a frame; down is found by its surfaces, near what is given."""
-    view = level_view(frame, gravity_camera=gravity_camera)
-    return LevelledView(measure_profile(view), describe_shapes(view))
+def levelled_features(
+    frame: DepthFrame, *, gravity_camera: Array | None = None
+) -> LevelledFeatures:
+    """Return the features of a frame; parameters are those of ``levelled_cloud``."""
+    cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
+    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud))
 
 
 @dataclass(frozen=True, eq=False)
-class LevelScenes:
-    """What labels frames: a vocabulary of shapes, and a network on profile and words.
+class LevelledClassifier:
+    """A ``Labeller`` by levelled features: a vocabulary of shapes, and a network on all of them.
 
-    It is a ``labelling.Labeller``, which needs no bag.
+    The network's input is the height profile and the histogram of shape words.
     """
 
     vocabulary: Vocabulary
-    network: SceneNetwork
+    network: MlpEnsemble
 
     @classmethod
-    def learn(
+    def fit(
         cls,
-        views: Sequence[LevelledView],
+        features: Sequence[LevelledFeatures],
         labels: Sequence[str],
         groups: ArrayLike | None = None,
         *,
-        n_moments: int | None = None,
+        n_groups: int | None = None,
         n_words: int = N_WORDS,
-        network: SceneNetwork | None = None,
+        network: MlpEnsemble | None = None,
         seed: int = 0,
     ) -> Self:
-        """Learn of views and their labels; ``groups``, ``n_moments`` are ``SceneNetwork.fit``'s.
+        """Learn a vocabulary and a network.
 
-        ``network`` is the one to fit, by default the usual one with ``seed``.
-        Where there are fewer shapes than words, there are as many words as shapes.
+        Parameters
+        ----------
+        features, labels
+            (N,) features of each training frame, and its label.
+        groups, n_groups
+            As in ``MlpEnsemble.fit``.
+        n_words
+            Number of shape words; fewer where there are fewer shapes.
+        network
+            The network to fit, by default ``MlpEnsemble`` with its default parameters.
+        seed
+            Seed of the vocabulary and of the default network.
         """
-        shapes = np.concatenate([view.shapes for view in views])
+        shapes = np.concatenate([item.shapes for item in features])
         if len(shapes) == 0:
-            shapes = np.zeros((1, views[0].shapes.shape[1]), np.float32)
+            shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
         vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
-        scenes = cls(vocabulary, network or SceneNetwork(seed=seed))
-        numbers = np.array([scenes.numbers(view) for view in views])
-        scenes.network.fit(numbers, np.asarray(labels), groups, n_moments=n_moments)
-        return scenes
+        classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
+        vectors = np.array([classifier.feature_vector(item) for item in features])
+        classifier.network.fit(vectors, np.asarray(labels), groups, n_groups=n_groups)
+        return classifier
 
-    def description(self) -> dict[str, Any]:
-        """Return the parameters, which with ``arrays`` tell all."""
+    def manifest(self) -> dict[str, Any]:
+        """Return the parameters and classes, as a model file's manifest holds them."""
         vocabulary = self.vocabulary.get_params()
         del vocabulary["n_words"]  # known from the words
         classes = [str(label) for label in self.network.classes_]
@@ -86,23 +102,23 @@ class LevelScenes:
         return {"words": self.vocabulary.words_, "temperature": temperature, **learnt}
 
     @classmethod
-    def from_arrays(cls, description: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
-        """Return what ``description`` and ``arrays`` were taken of.
+    def from_arrays(cls, manifest: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
+        """Restore a classifier from its ``manifest`` and ``arrays``.
 
         Raises
         ------
         KeyError, TypeError, ValueError
-            If something is missing, not known, or of another shape than the rest expects.
+            If something is missing or unknown, or shapes do not fit each other.
         """
-        words, classes = arrays["words"], np.array(description["classes"])
-        network = SceneNetwork(**description["network"])
-        n_numbers, n_neurons = N_PROFILE + len(words), network.n_networks * network.n_hidden
+        words, classes = arrays["words"], np.array(manifest["classes"])
+        network = MlpEnsemble(**manifest["network"])
+        n_features, n_neurons = N_PROFILE_VALUES + len(words), network.n_networks * network.n_hidden
         shapes = {
-            "words": (len(words), N_SHAPE),
+            "words": (len(words), N_SHAPE_VALUES),
             "temperature": (),
-            "mean": (n_numbers,),
-            "scale": (n_numbers,),
-            "hidden": (n_numbers, n_neurons),
+            "mean": (n_features,),
+            "scale": (n_features,),
+            "hidden": (n_features, n_neurons),
             "hidden_bias": (n_neurons,),
             "out": (n_neurons, len(classes)),
             "out_bias": (len(classes),),
@@ -112,27 +128,26 @@ class LevelScenes:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
         for name in NETWORK_ARRAYS:
             setattr(network, f"{name}_", arrays[name])
-        network.classes_, network.n_features_in_ = classes, n_numbers
+        network.classes_, network.n_features_in_ = classes, n_features
         network.temperature_ = float(arrays["temperature"])
-        return cls(Vocabulary.from_words(words, **description["vocabulary"]), network)
+        return cls(Vocabulary.from_words(words, **manifest["vocabulary"]), network)
 
-    def numbers(self, view: LevelledView) -> NDArray[np.float32]:
-        """Return what the network sees of a view: profile, square roots of shares of words."""
-        words = self.vocabulary.lookup(view.shapes)
+    def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
+        """Return the network's input: the profile, and the square roots of word frequencies."""
+        words = self.vocabulary.lookup(features.shapes)
         counts = np.bincount(words, minlength=self.vocabulary.n_words)
-        return np.concatenate(
-            [view.profile, np.sqrt(counts / max(len(words), 1))], dtype=np.float32
-        )
+        frequencies = counts / max(len(words), 1)
+        return np.concatenate([features.profile, np.sqrt(frequencies)], dtype=np.float32)
 
     def label(
         self, frame: DepthFrame, *, gravity_camera: Array | None = None, bag: Bag | None = None
     ) -> Scene:
-        """Return the scene that a frame shows; the bag is not looked at."""
-        return self.label_view(look(frame, gravity_camera=gravity_camera))
+        """Return the scene that a frame shows; the bag is not used."""
+        return self.label_features(levelled_features(frame, gravity_camera=gravity_camera))
 
-    def label_view(self, view: LevelledView) -> Scene:
-        """Return the scene that a view shows."""
-        probabilities = self.network.probabilities(self.numbers(view)[None])[0]
+    def label_features(self, features: LevelledFeatures) -> Scene:
+        """Return the scene by the features of a frame."""
+        probabilities = self.network.probabilities(self.feature_vector(features)[None])[0]
         best = int(probabilities.argmax())
         classes = tuple(str(label) for label in self.network.classes_)
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)

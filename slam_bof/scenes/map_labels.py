@@ -1,4 +1,4 @@
-"""What a finished map says of its scenes: a label for each keyframe, and rooms."""
+"""Scenes of a finished map: a smoothed label for each keyframe, and rooms."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from slam_bof.scenes.hmm_filter import SceneFilterParams
 from slam_bof.scenes.hmm_smoother import smooth
-from slam_bof.scenes.room_segmentation import Region, RegionParams, find_regions
+from slam_bof.scenes.room_segmentation import MapRoom, RoomSegmentationParams, segment_rooms
 from slam_bof.types import Array, Keyframe, Scene
 
 __all__ = ["label_map"]
@@ -19,43 +19,43 @@ def label_map(
     keyframes: Sequence[Keyframe],
     T_map_camera: Array,
     labels: SceneFilterParams | None = None,
-    regions: RegionParams | None = None,
+    rooms: RoomSegmentationParams | None = None,
     *,
-    parts: ArrayLike | None = None,
-) -> tuple[list[Scene | None], list[Region]]:
-    """Smooth the labels of keyframes over the whole trajectory, and find the rooms.
+    components: ArrayLike | None = None,
+) -> tuple[list[Scene | None], list[MapRoom]]:
+    """Smooth the labels of keyframes over the whole trajectory, and segment the map into rooms.
 
     Parameters
     ----------
     keyframes, T_map_camera
-        K keyframes in the order they came, and their poses (K, 4, 4).
-    labels, regions
-        Parameters of either.
-    parts
-        (K,) the part of the map each is in, by default all in one.
+        K keyframes in the order of time, and their poses (K, 4, 4).
+    labels, rooms
+        Parameters of the smoothing and of the segmentation.
+    components
+        (K,) component of the pose graph of each keyframe; by default all are in one.
 
     Returns
     -------
     scenes : list of Scene or None
-        (K,) the smoothed labels; None for a keyframe that had none.
-    regions : list of Region
-        The rooms.
+        (K,) the smoothed labels; None for a keyframe without a label of its own.
+    rooms : list of MapRoom
+        The rooms, in the order in which they were first entered.
     """
-    labels, regions = labels or SceneFilterParams(), regions or RegionParams()
-    own = [(k, keyframe, keyframe.scene) for k, keyframe in enumerate(keyframes) if keyframe.scene]
     T_map_camera = np.reshape(T_map_camera, (-1, 4, 4))
-    positions_m, at = T_map_camera[:, :3, 3], [k for k, *_ in own]
-    found = smooth(
-        [scene for *_, scene in own],
-        [keyframe.stamp_s for _, keyframe, _ in own],
-        positions_m[at],
-        labels,
-        axes=T_map_camera[at, :3, 2],
-        parts=None if parts is None else np.asarray(parts)[at],
-        segments=[keyframe.segment for _, keyframe, _ in own],
-        sessions=[keyframe.session for _, keyframe, _ in own],
+    positions_m = T_map_camera[:, :3, 3]
+    labelled = [(k, kf, kf.scene) for k, kf in enumerate(keyframes) if kf.scene]
+    ids = [k for k, *_ in labelled]
+    smoothed = smooth(
+        [scene for *_, scene in labelled],
+        [keyframe.stamp_s for _, keyframe, _ in labelled],
+        positions_m[ids],
+        labels or SceneFilterParams(),
+        axes=T_map_camera[ids, :3, 2],
+        components=None if components is None else np.asarray(components)[ids],
+        segments=[keyframe.segment for _, keyframe, _ in labelled],
+        sessions=[keyframe.session for _, keyframe, _ in labelled],
     )
     scenes: list[Scene | None] = [None] * len(keyframes)
-    for k, scene in zip(at, found, strict=True):
+    for k, scene in zip(ids, smoothed, strict=True):
         scenes[k] = scene
-    return scenes, find_regions(scenes, positions_m, regions, parts=parts)
+    return scenes, segment_rooms(scenes, positions_m, rooms, components=components)

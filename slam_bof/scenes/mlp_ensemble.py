@@ -1,7 +1,7 @@
-"""A small neural network on numbers that describe a view, with calibrated probabilities.
+"""A small ensemble of neural networks on feature vectors, with calibrated probabilities.
 
-The paper names per-layer BOFs in a neural network as its future work; this is one of few weights
-that trains in a minute and answers in a fraction of a millisecond.
+The paper names per-layer BOFs in a neural network as its future work. These networks have few
+weights, train in a minute and answer in a fraction of a millisecond.
 """
 
 from __future__ import annotations
@@ -16,56 +16,62 @@ from scipy.optimize import minimize_scalar
 from scipy.special import log_softmax, softmax
 from sklearn.base import BaseEstimator, ClassifierMixin
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
 from sklearn.neural_network import MLPClassifier
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
 from threadpoolctl import threadpool_limits
 
+from slam_bof.scenes.classifiers import check_class_counts
+from slam_bof.scenes.folds import make_folds
 from slam_bof.types import Array
 
-__all__ = ["SceneNetwork"]
+__all__ = ["MlpEnsemble"]
 
-FURTHEST = 4.0
-"""Standard deviations from the mean, beyond which a number is taken to be there."""
+MAX_DEVIATIONS = 4.0
+"""Features are clipped at this many standard deviations from their mean."""
 LEARNING_RATE = 5e-4
-BATCH = 200
-MAX_PASSES = 300
+BATCH_SIZE = 200
+MAX_EPOCHS = 300
 TEMPERATURES = (0.3, 10.0)
+"""Range of the temperature where folds hold out whole sequences."""
 UNGROUPED_TEMPERATURES = (1.0, 10.0)
-"""Where frames of one sequence stand on both sides of a fold, held-out ones look more like those
-trained on than what is to come does: they never make it more certain."""
+"""Range where frames of one sequence are on both sides of a fold. Held-out frames then resemble
+the training frames more than new ones will, so they must not raise the confidence."""
 
 
 @dataclass(eq=False, repr=False)
-class SceneNetwork(ClassifierMixin, BaseEstimator):
-    """Networks of one hidden layer that agree on a mean of logits, divided by a temperature.
+class MlpEnsemble(ClassifierMixin, BaseEstimator):
+    """Networks of one hidden layer whose mean logits are divided by a temperature.
 
-    The temperature is the one under which samples held out from training are most probable.
+    The temperature minimises the negative log-likelihood of samples held out from training.
 
     Parameters
     ----------
     n_hidden, n_networks
-        Neurons of each network, and how many differently begun networks are averaged.
+        Neurons in the hidden layer of each network, and number of networks, which differ in their
+        initial weights.
     decay
         Weight decay for each sample of a batch.
     n_steps
-        Batches learnt from, at least, but samples are seen ``MAX_PASSES`` times at most.
+        Least number of batches to train on, but no more than ``MAX_EPOCHS`` passes over all
+        samples.
     n_folds
-        For the temperature; fewer where the smallest class has fewer samples (or groups).
+        Number of folds for the temperature; fewer where the smallest class has fewer samples (or
+        groups).
     seed
-        Of the networks and the folds.
+        Seed of the networks and the folds.
 
     Attributes
     ----------
     classes_ : (n_classes,)
         The labels, sorted.
     mean_, scale_ : (D,) float32
-        Of the numbers.
+        Mean and standard deviation of each feature.
     hidden_, hidden_bias_, out_, out_bias_ : float32
-        (D, n_networks n_hidden), its bias, and (n_networks n_hidden, n_classes), its bias.
+        Weights of the hidden layers (D, n_networks n_hidden) and of the output layer
+        (n_networks n_hidden, n_classes), with their biases.
     temperature_ : float
-        What logits are divided by.
+        Divisor of the logits.
     """
 
     n_hidden: int = 128
@@ -81,14 +87,22 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
         y: Any,
         groups: ArrayLike | None = None,
         *,
-        n_moments: int | None = None,
+        n_groups: int | None = None,
     ) -> Self:
-        """Learn from numbers (n_frames, D) and their labels.
+        """Learn from feature vectors and their labels.
 
-        ``groups`` (n_frames,) names the sequence of each frame: frames of one sequence, which
-        look alike, then never stand on both sides of a fold. Where they are stretches of few
-        sequences, ``n_moments`` is how many there are in all: what is held out is then no room
-        never seen, and so many samples, not frames, say how sure one may be.
+        Parameters
+        ----------
+        X
+            (n_frames, D) features.
+        y
+            (n_frames,) labels.
+        groups
+            (n_frames,) group of each frame, such as its sequence; no fold splits one.
+        n_groups
+            Number of groups, where they are segments of sequences. Held-out frames then show
+            rooms that are seen in training, and the confidence is limited as that number of
+            samples, not the number of frames, permits.
 
         Raises
         ------
@@ -98,22 +112,17 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
         X, y = validate_data(self, X, y, dtype=np.float32)
         check_classification_targets(y)
         self.classes_, index, counts = np.unique(y, return_inverse=True, return_counts=True)
-        if len(self.classes_) < 2 or counts.min() < 2:
-            found = ", ".join(f"{c}: {n}" for c, n in zip(self.classes_, counts, strict=True))
-            raise ValueError(
-                f"y must hold at least 2 classes of at least 2 samples each, got "
-                f"{len(self.classes_)} class{'es' * (len(self.classes_) > 1)} ({found})"
-            )
-        # With one thread sums have one order, and the same seed gives the same bytes.
+        check_class_counts(self.classes_, counts)
+        # On one thread sums have one order, so the same seed gives the same bytes.
         with threadpool_limits(1):
             held_out = np.zeros((len(X), len(self.classes_)), np.float32)
-            for train, test in self._folds(index, groups):
-                self._learn(X[train], index[train])
+            for train, test in make_folds(index, groups, self.n_folds, self.seed):
+                self._fit_networks(X[train], index[train])
                 held_out[test] = self._logits(X[test])
-            self._learn(X, index)
-        is_alike = groups is None or n_moments is not None
-        bounds = UNGROUPED_TEMPERATURES if is_alike else TEMPERATURES
-        self.temperature_ = _temperature(held_out, index, bounds, n_moments)
+            self._fit_networks(X, index)
+        splits_sequences = groups is None or n_groups is not None
+        bounds = UNGROUPED_TEMPERATURES if splits_sequences else TEMPERATURES
+        self.temperature_ = _fit_temperature(held_out, index, bounds, n_groups)
         return self
 
     def predict_proba(self, X: Any) -> Array:
@@ -128,94 +137,80 @@ class SceneNetwork(ClassifierMixin, BaseEstimator):
         return np.asarray(self.classes_[best])
 
     def probabilities(self, X: NDArray[np.float32]) -> Array:
-        """Return what ``predict_proba`` does, without its slow checks."""
+        """Return what ``predict_proba`` returns, without its slow checks."""
         logits = self._logits(X).astype(np.float64)
         return np.asarray(softmax(logits / self.temperature_, axis=-1))
 
-    def _learn(self, X: NDArray[np.float32], index: NDArray[np.intp]) -> None:
-        """Set the arrays by samples (n, D) and their classes (n,)."""
+    def _fit_networks(self, X: NDArray[np.float32], index: NDArray[np.intp]) -> None:
+        """Fit scale and weights to samples (n, D) and their class indices (n,)."""
         self.mean_ = X.mean(axis=0)
         deviation = X.std(axis=0)
         self.scale_ = np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32)
-        inputs, batch = self._standardise(X), min(BATCH, len(X))
-        n_passes = min(-(-self.n_steps * batch // len(X)), MAX_PASSES)
+        inputs, batch_size = self._standardise(X), min(BATCH_SIZE, len(X))
+        n_epochs = min(-(-self.n_steps * batch_size // len(X)), MAX_EPOCHS)
         networks = [
             MLPClassifier(
                 (self.n_hidden,),
-                alpha=self.decay * batch,
-                batch_size=batch,
+                alpha=self.decay * batch_size,
+                batch_size=batch_size,
                 learning_rate_init=LEARNING_RATE,
-                max_iter=n_passes,
-                n_iter_no_change=n_passes,
+                max_iter=n_epochs,
+                n_iter_no_change=n_epochs,
                 random_state=self.seed + k,
             )
             for k in range(self.n_networks)
         ]
         with warnings.catch_warnings():
-            # It stops where it is told to.
+            # Stopping at max_iter is intended.
             warnings.simplefilter("ignore", ConvergenceWarning)
             for network in networks:
                 network.fit(inputs, index)
         n_classes = len(self.classes_)
-        outs = [_both_classes(n.coefs_[1], n_classes) / len(networks) for n in networks]
-        biases = [_both_classes(n.intercepts_[1], n_classes) for n in networks]
+        outs = [_output_per_class(n.coefs_[1], n_classes) / len(networks) for n in networks]
+        biases = [_output_per_class(n.intercepts_[1], n_classes) for n in networks]
         self.hidden_ = np.hstack([n.coefs_[0] for n in networks]).astype(np.float32)
         self.hidden_bias_ = np.hstack([n.intercepts_[0] for n in networks]).astype(np.float32)
         self.out_ = np.vstack(outs).astype(np.float32)
         self.out_bias_ = np.mean(biases, axis=0).astype(np.float32)
 
     def _standardise(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
-        return np.asarray(np.clip((X - self.mean_) / self.scale_, -FURTHEST, FURTHEST))
+        deviations = (X - self.mean_) / self.scale_
+        return np.asarray(np.clip(deviations, -MAX_DEVIATIONS, MAX_DEVIATIONS))
 
     def _logits(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
         hidden = np.maximum(self._standardise(X) @ self.hidden_ + self.hidden_bias_, 0.0)
         return np.asarray(hidden @ self.out_ + self.out_bias_)
 
-    def _folds(self, index: NDArray[np.intp], groups: ArrayLike | None) -> list[Any]:
-        """Return the (train, test) indices of the folds, each with all classes in training."""
-        samples = np.arange(len(index)) if groups is None else np.asarray(groups)
-        n_classes = len(self.classes_)
-        smallest = min(len(np.unique(samples[index == k])) for k in range(n_classes))
-        n_folds = min(self.n_folds, smallest)
-        if n_folds >= 2 and groups is not None:
-            by_group = StratifiedGroupKFold(n_folds, shuffle=True, random_state=self.seed)
-            folds = list(by_group.split(index, index, samples))
-            if all(len(np.unique(index[train])) == n_classes for train, _ in folds):
-                return folds
-        # A class that one sequence alone shows cannot be split by sequence.
-        n_folds = min(self.n_folds, int(np.bincount(index).min()))
-        by_sample = StratifiedKFold(n_folds, shuffle=True, random_state=self.seed)
-        return list(by_sample.split(index, index))
 
-
-def _both_classes(weights: Array, n_classes: int) -> Array:
-    """Return weights (..., n_classes) where two classes have one output, for the second."""
+def _output_per_class(weights: Array, n_classes: int) -> Array:
+    """Return weights (..., n_classes); scikit-learn has one output where there are two classes."""
     if n_classes > 2:
         return weights
     return np.concatenate([np.zeros_like(weights), weights], axis=-1)
 
 
-def _temperature(
+def _fit_temperature(
     logits: NDArray[np.float32],
     index: NDArray[np.intp],
     bounds: tuple[float, float],
-    n_moments: int | None = None,
+    n_groups: int | None = None,
 ) -> float:
-    """Return what logits (n, n_classes) are best divided by, classes (n,) being true.
+    """Return the temperature within ``bounds`` under which the true classes are most likely.
 
-    With ``n_moments`` the truth counts for (n + 1) / (n + 2) only, as J. Platt has it with the
-    number of samples ("Probabilistic outputs for support vector machines", 1999): that so many
-    were right does not tell that the next one will be.
+    ``logits`` (n, n_classes) are of held-out samples, ``index`` (n,) their true classes. With
+    ``n_groups`` the target probability of the true class is (n + 1) / (n + 2) instead of 1, the
+    correction of J. Platt for few samples ("Probabilistic outputs for support vector machines",
+    1999), with the number of groups in place of that of samples.
     """
     n_classes: int = logits.shape[1]
 
-    def surprise(log_temperature: float) -> float:
+    def cross_entropy(log_temperature: float) -> float:
         scaled = log_softmax(logits.astype(np.float64) / np.exp(log_temperature), axis=1)
         of_truth = float(-scaled[np.arange(len(index)), index].mean())
-        if n_moments is None:
+        if n_groups is None:
             return of_truth
         of_others = (float(-scaled.sum(axis=1).mean()) - of_truth) / (n_classes - 1)
-        return ((n_moments + 1) * of_truth + of_others) / (n_moments + 2)
+        return ((n_groups + 1) * of_truth + of_others) / (n_groups + 2)
 
-    logarithms = tuple(np.log(bounds))
-    return float(np.exp(minimize_scalar(surprise, bounds=logarithms, method="bounded").x))
+    log_bounds = tuple(np.log(bounds))
+    return float(np.exp(minimize_scalar(cross_entropy, bounds=log_bounds, method="bounded").x))

@@ -1,9 +1,9 @@
-"""The trained model in one file: parameters, words, idf and scene classifier.
+"""The trained model in one file: parameters, words, idf and scene classifiers.
 
 The file is a zip: ``manifest.json`` (format version, parameters, what it was trained on, and
-the SHA-256 of all the content), ``words.npy``, ``idf.npy``, ``scenes.skops`` where bags are
-labelled, and ``levels/*.npy`` where levelled views are. Nothing is pickled, and only the types
-named here are made on loading. The same training writes the same bytes.
+the SHA-256 of all the content), ``words.npy``, ``idf.npy``, ``scenes.skops`` for a classifier of
+bags, and ``levels/*.npy`` for a levelled classifier. Nothing is pickled, and loading creates
+objects of the types named here only. The same training writes the same bytes.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from slam_bof.bof import PlaceDescriber, PlaceParams, TfIdf, Vocabulary
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.labeller import BagLabeller, Labeller
-from slam_bof.scenes.levelled_classifier import LevelScenes
+from slam_bof.scenes.levelled_classifier import LevelledClassifier
 
 __all__ = [
     "FORMAT_VERSION",
     "Model",
     "classifier_bytes",
     "load",
-    "load_default",
-    "load_scenes",
+    "load_classifier",
+    "resolve",
     "save",
 ]
 
@@ -54,9 +54,12 @@ TRUSTED_TYPES = [
     "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
     "sklearn.tree._tree.Tree",
 ]
-"""What a classifier may be made of, beyond what skops itself trusts."""
+"""Types that a classifier may consist of, beyond those that skops trusts itself."""
 
-LEVELS = "levels/"
+DEFAULT = "default"
+"""Name of the model that comes with slam_bof."""
+LEVELLED_ENTRIES = "levels/"
+"""Prefix of the arrays of the levelled classifier."""
 
 Entries = dict[str, bytes]
 
@@ -65,45 +68,47 @@ Entries = dict[str, bytes]
 class Model:
     """All that describing and labelling a frame needs.
 
-    ``trained_on`` says in words which frames it has seen. ``scenes`` labels bags, as the paper
-    does, and ``levels`` levelled views; both are None where the frames had no labels, and either
-    where it was not asked for.
+    ``trained_on`` says in words which frames it was trained on. ``bag_classifier`` labels bags of
+    words, as in the paper; ``levelled_classifier`` labels frames by levelled features. Either is
+    None where the frames had no labels or it was not asked for.
     """
 
     places: PlaceParams
     vocabulary: Vocabulary
     tf_idf: TfIdf
-    scenes: SceneClassifier | None
+    bag_classifier: SceneClassifier | None
     trained_on: str
-    levels: LevelScenes | None = None
+    levelled_classifier: LevelledClassifier | None = None
 
     def describer(self) -> PlaceDescriber:
-        """Return what makes bags of frames."""
+        """Return the describer that makes bags of words of frames."""
         return PlaceDescriber(self.places, self.vocabulary, self.tf_idf)
 
     def labeller(self) -> Labeller | None:
-        """Return what labels frames: by levelled views if it can, or else by bags.
+        """Return the labeller of frames: the levelled classifier if there is one, else bags.
 
         None where the model was trained without labels.
         """
-        if self.levels is not None:
-            return self.levels
-        return BagLabeller(self.describer(), self.scenes) if self.scenes is not None else None
+        if self.levelled_classifier is not None:
+            return self.levelled_classifier
+        if self.bag_classifier is not None:
+            return BagLabeller(self.describer(), self.bag_classifier)
+        return None
 
     @cached_property
     def content_hash(self) -> str:
-        """SHA-256 of the content, hexadecimal, as the file's manifest has it."""
-        return _hash(_description(self), _entries(self))
+        """SHA-256 of the content, hexadecimal, as in the file's manifest."""
+        return _hash(_content_manifest(self), _entries(self))
 
 
 def save(model: Model, path: str | Path) -> None:
-    """Write a model file; an older file of that name stays whole until the new one is."""
+    """Write a model file; an older file of that name stays until the new one is complete."""
     path = Path(path)
     entries = _entries(model)
-    description = _description(model)
+    content = _content_manifest(model)
     manifest = {
-        **description,
-        "content_sha256": _hash(description, entries),
+        **content,
+        "content_sha256": _hash(content, entries),
         "made_with": {name: metadata.version(name) for name in ("slam-bof", "scikit-learn")},
     }
     entries = {"manifest.json": json.dumps(manifest, indent=2).encode(), **entries}
@@ -112,13 +117,31 @@ def save(model: Model, path: str | Path) -> None:
     os.replace(unfinished, path)
 
 
+def resolve(name: str | Path = DEFAULT) -> Model:
+    """Read a model by name: ``default``, which comes with slam_bof, or the path of a file.
+
+    The default model was trained on synthetic rooms only.
+
+    Raises
+    ------
+    ModelError
+        As ``load``.
+    """
+    if name != DEFAULT:
+        return load(name)
+    file = resources.files("slam_bof") / "data" / "default.bof"
+    if not file.is_file():
+        raise ModelError(f"{file}: no such model file; scripts/train_default_model makes it")
+    return _parse(file.read_bytes(), str(file))
+
+
 def load(path: str | Path) -> Model:
     """Read a model file.
 
     Raises
     ------
     ModelError
-        If the file is missing, no model, of another format version, or damaged.
+        If the file is missing, is no model, has another format version, or is damaged.
     """
     path = Path(path)
     try:
@@ -128,14 +151,6 @@ def load(path: str | Path) -> Model:
     except OSError as error:
         raise ModelError(f"{path}: model file cannot be read: {error.strerror}") from None
     return _parse(data, str(path))
-
-
-def load_default() -> Model:
-    """Read the model that comes with slam_bof, trained on synthetic rooms only."""
-    file = resources.files("slam_bof") / "data" / "default.bof"
-    if not file.is_file():
-        raise ModelError(f"{file}: no such model file; scripts/train_default_model makes it")
-    return _parse(file.read_bytes(), str(file))
 
 
 def _parse(data: bytes, name: str) -> Model:
@@ -153,8 +168,8 @@ def _parse(data: bytes, name: str) -> Model:
             f"{name}: found {found[0]!r} format version {found[1]!r}, "
             f"expected {FORMAT!r} version {FORMAT_VERSION}"
         )
-    ours = ("content_sha256", "made_with")
-    content_hash = _hash({k: v for k, v in manifest.items() if k not in ours}, entries)
+    content = {k: v for k, v in manifest.items() if k not in ("content_sha256", "made_with")}
+    content_hash = _hash(content, entries)
     if content_hash != found[2]:
         raise ModelError(
             f"{name}: damaged: found content hash {content_hash[:12]}, expected "
@@ -165,7 +180,7 @@ def _parse(data: bytes, name: str) -> Model:
     except (KeyError, TypeError, ValidationError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise ModelError(f"{name}: model content is not as expected: {reason}") from error
-    # A cached property: what was just checked need not be computed again.
+    # Fill the cached property: the hash was just computed.
     vars(model)["content_hash"] = content_hash
     return model
 
@@ -182,26 +197,31 @@ def _build(manifest: dict[str, Any], entries: Entries) -> Model:
         places=places,
         vocabulary=Vocabulary.from_words(words, **manifest["vocabulary"]),
         tf_idf=TfIdf.from_idf(idf),
-        scenes=load_scenes(entries["scenes.skops"]) if "scenes.skops" in entries else None,
+        bag_classifier=(
+            load_classifier(entries["scenes.skops"]) if "scenes.skops" in entries else None
+        ),
         trained_on=manifest["trained_on"],
-        levels=_load_levels(manifest["levels"], entries) if manifest.get("levels") else None,
+        levelled_classifier=(
+            _load_levelled(manifest["levels"], entries) if manifest.get("levels") else None
+        ),
     )
 
 
-def _description(model: Model) -> dict[str, Any]:
-    """Return the manifest without what does not belong to the content."""
+def _content_manifest(model: Model) -> dict[str, Any]:
+    """Return the part of the manifest that the content hash covers."""
     vocabulary = model.vocabulary.get_params()
     del vocabulary["n_words"]  # known from the words
-    description = {
+    bag_classifier, levelled_classifier = model.bag_classifier, model.levelled_classifier
+    content = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
         "trained_on": model.trained_on,
         "places": model.places.model_dump(mode="json"),
         "vocabulary": vocabulary,
-        "classes": [str(label) for label in model.scenes.classes_] if model.scenes else [],
+        "classes": [str(label) for label in bag_classifier.classes_] if bag_classifier else [],
     }
-    # Files of models without it are as they were.
-    return description | ({"levels": model.levels.description()} if model.levels else {})
+    # Without a levelled classifier the key is absent, as in files older than it.
+    return content | ({"levels": levelled_classifier.manifest()} if levelled_classifier else {})
 
 
 def _entries(model: Model) -> Entries:
@@ -209,25 +229,25 @@ def _entries(model: Model) -> Entries:
         "words.npy": _array_bytes(model.vocabulary.words_),
         "idf.npy": _array_bytes(model.tf_idf.idf_),
     }
-    if model.scenes is not None:
-        entries["scenes.skops"] = classifier_bytes(model.scenes)
-    if model.levels is not None:
-        for name, array in model.levels.arrays().items():
-            entries[f"{LEVELS}{name}.npy"] = _array_bytes(array)
+    if model.bag_classifier is not None:
+        entries["scenes.skops"] = classifier_bytes(model.bag_classifier)
+    if model.levelled_classifier is not None:
+        for name, array in model.levelled_classifier.arrays().items():
+            entries[f"{LEVELLED_ENTRIES}{name}.npy"] = _array_bytes(array)
     return entries
 
 
-def _load_levels(description: dict[str, Any], entries: Entries) -> LevelScenes:
+def _load_levelled(manifest: dict[str, Any], entries: Entries) -> LevelledClassifier:
     arrays = {
-        name.removeprefix(LEVELS).removesuffix(".npy"): _array(data)
+        name.removeprefix(LEVELLED_ENTRIES).removesuffix(".npy"): _array(data)
         for name, data in entries.items()
-        if name.startswith(LEVELS)
+        if name.startswith(LEVELLED_ENTRIES)
     }
-    return LevelScenes.from_arrays(description, arrays)
+    return LevelledClassifier.from_arrays(manifest, arrays)
 
 
-def _hash(description: dict[str, Any], entries: Entries) -> str:
-    digest = hashlib.sha256(json.dumps(description, sort_keys=True).encode())
+def _hash(content: dict[str, Any], entries: Entries) -> str:
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
     for name in sorted(entries):
         digest.update(f"\n{name} {len(entries[name])}\n".encode())
         digest.update(entries[name])
@@ -238,7 +258,7 @@ def _zip(entries: Entries, compression: int) -> bytes:
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", compression) as archive:
         for name, data in entries.items():
-            # A ZipInfo made by hand bears no time of writing.
+            # A ZipInfo made by hand has a constant time stamp.
             archive.writestr(zipfile.ZipInfo(name), data, compression)
     return buffer.getvalue()
 
@@ -253,12 +273,12 @@ def _array(data: bytes) -> NDArray[Any]:
     return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
 
 
-def classifier_bytes(scenes: SceneClassifier) -> bytes:
-    """Return a scene classifier as model files hold it: skops, the same bytes every time."""
+def classifier_bytes(classifier: SceneClassifier) -> bytes:
+    """Serialise a scene classifier for a model file, by skops, to the same bytes every time."""
     import skops.io
 
-    # skops names objects and files by memory address: number them as they come instead.
-    with zipfile.ZipFile(io.BytesIO(skops.io.dumps(scenes))) as archive:
+    # skops names objects and files by memory address; number them in order of appearance instead.
+    with zipfile.ZipFile(io.BytesIO(skops.io.dumps(classifier))) as archive:
         schema = json.loads(archive.read("schema.json"))
         renamed = _number_ids(schema)
         files = {new: archive.read(old) for old, new in renamed.items()}
@@ -285,18 +305,18 @@ def _number_ids(schema: Any) -> dict[str, str]:
     return files
 
 
-def load_scenes(data: bytes) -> SceneClassifier:
-    """Read what ``classifier_bytes`` wrote; ``ValueError`` where it is something else."""
+def load_classifier(data: bytes) -> SceneClassifier:
+    """Restore a scene classifier from ``classifier_bytes``; ``ValueError`` if it is none."""
     import skops.io
     from skops.io.exceptions import UntrustedTypesFoundException
 
     with warnings.catch_warnings():
-        # Another version of scikit-learn reads these plain attributes as well.
+        # Other versions of scikit-learn read these plain attributes as well.
         warnings.simplefilter("ignore", InconsistentVersionWarning)
         try:
-            scenes = skops.io.loads(data, trusted=TRUSTED_TYPES)
+            classifier = skops.io.loads(data, trusted=TRUSTED_TYPES)
         except UntrustedTypesFoundException as error:
             raise ValueError(str(error)) from error
-    if not isinstance(scenes, SceneClassifier):
-        raise ValueError(f"scenes must be a SceneClassifier, got {type(scenes).__name__}")
-    return scenes
+    if not isinstance(classifier, SceneClassifier):
+        raise ValueError(f"scenes must be a SceneClassifier, got {type(classifier).__name__}")
+    return classifier

@@ -1,9 +1,9 @@
-"""Rooms of the map: keyframes that stand together and have the same label.
+"""Segmentation of the map into rooms: keyframes that stand close together and have one label.
 
-Neighbours in the map vote on each other's label first, so that a keyframe that looks out of the
-door, or a bad guess, does not become a room of its own. Then keyframes of one label that are
-linked, by standing close together, are a region; regions of very few keyframes go to the one
-nearby.
+First, neighbours in the map vote on each other's label, so that a keyframe that looks out of the
+door, or a wrong label, does not become a room of its own. Then keyframes of one label are linked
+where they stand close together, and each connected component is a room. Rooms with very few
+keyframes are merged into the nearest other room.
 """
 
 from __future__ import annotations
@@ -18,29 +18,50 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from slam_bof.scenes.hmm_filter import decide
+from slam_bof.scenes.hmm_filter import most_probable_scene
 from slam_bof.types import Array, Params, Scene
 
-__all__ = ["Region", "RegionParams", "find_regions"]
+__all__ = ["MapRoom", "RoomSegmentationParams", "segment_rooms"]
 
 Position = tuple[float, float, float]
 
 
-class RegionParams(Params):
-    """What makes keyframes a region."""
+class RoomSegmentationParams(Params):
+    """Parameters of the segmentation into rooms."""
 
-    radius_m: float = Field(1.0, gt=0, description="keyframes this close together are linked")
-    vote_m: float = Field(0.8, gt=0, description="Gaussian width of the neighbours' vote")
-    min_keyframes: int = Field(3, ge=1, description="a smaller region goes to the one nearest")
-    min_probability: float = Field(0.4, ge=0, le=1, description="below it a region is unknown")
+    radius_m: float = Field(
+        1.0,
+        gt=0,
+        description="Keyframes of one label are linked to one room if they are at most this far "
+        "apart, in metres.",
+    )
+    vote_m: float = Field(
+        0.8,
+        gt=0,
+        description="Standard deviation of the Gaussian that weighs the votes of neighbouring "
+        "keyframes by distance, in metres.",
+    )
+    min_keyframes: int = Field(
+        3,
+        ge=1,
+        description="Least number of keyframes of a room; a smaller one is merged into the "
+        "nearest other room.",
+    )
+    min_probability: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="Least probability of a room's label; a less probable one becomes 'unknown'.",
+    )
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class MapRoom:
     """A room of the map, by the keyframes that stand in it.
 
-    ``probability`` is their mean of the label's; ``center_m``, ``low_m`` and ``high_m`` are of
-    the cameras' positions in the map frame, so that the room's walls are further out.
+    ``probability`` is the mean of the label's probability over its keyframes. ``center_m``,
+    ``low_m`` and ``high_m`` are the mean, minimum and maximum of the camera positions in the map
+    frame, in metres; the room's walls are further out.
     """
 
     id: int
@@ -52,118 +73,126 @@ class Region:
     high_m: Position
 
 
-def find_regions(
+def segment_rooms(
     scenes: Sequence[Scene | None],
     positions_m: ArrayLike,
-    params: RegionParams | None = None,
+    params: RoomSegmentationParams | None = None,
     *,
-    parts: ArrayLike | None = None,
-) -> list[Region]:
+    components: ArrayLike | None = None,
+) -> list[MapRoom]:
     """Group keyframes into rooms, in the order in which they were first entered.
 
     Parameters
     ----------
     scenes
-        The (smoothed) label of each of K keyframes, all of the same classes; keyframes without
-        are in no region.
+        The (smoothed) label of each of K keyframes, all of the same classes. Keyframes without a
+        label are in no room.
     positions_m
-        (K, 3) where they are in the map; those not finite are in no region.
+        (K, 3) positions in the map; keyframes whose position is not finite are in no room.
     params
-        What makes a region.
-    parts
-        (K,) the part of the map each is in: positions of different parts mean nothing to each
-        other.
+        Parameters of the segmentation.
+    components
+        (K,) component of the pose graph of each keyframe. Positions of different components are
+        not comparable. By default all keyframes are in one component.
 
     Examples
     --------
-    >>> see = {"kitchen": np.array([0.9, 0.1]), "office": np.array([0.2, 0.8])}
+    >>> p = {"kitchen": np.array([0.9, 0.1]), "office": np.array([0.2, 0.8])}
     >>> labels = ["kitchen"] * 4 + ["office"] * 3
-    >>> scenes = [Scene(s, see[s].max(), ("kitchen", "office"), see[s]) for s in labels]
+    >>> scenes = [Scene(s, p[s].max(), ("kitchen", "office"), p[s]) for s in labels]
     >>> x_m = np.array([0.0, 0.5, 1.0, 1.5, 4.0, 4.5, 5.0])
-    >>> regions = find_regions(scenes, np.stack([x_m, 0 * x_m, 0 * x_m], axis=1))
-    >>> [(region.label, region.keyframe_ids, region.center_m[0]) for region in regions]
+    >>> rooms = segment_rooms(scenes, np.stack([x_m, 0 * x_m, 0 * x_m], axis=1))
+    >>> [(room.label, room.keyframe_ids, room.center_m[0]) for room in rooms]
     [('kitchen', (0, 1, 2, 3), 0.75), ('office', (4, 5, 6), 4.5)]
     """
-    p = params or RegionParams()
+    p = params or RoomSegmentationParams()
     positions_m = np.asarray(positions_m, dtype=np.float64).reshape(len(scenes), 3)
     known = np.array([scene is not None for scene in scenes], dtype=bool)
     ids = np.flatnonzero(known & np.isfinite(positions_m).all(axis=1))
     labelled = [scene for i in ids.tolist() if (scene := scenes[i]) is not None]
     if not labelled:
         return []
-    where = np.zeros(len(scenes)) if parts is None else np.asarray(parts)
-    pairs = _pairs(positions_m[ids], where[ids], max(p.radius_m, 3.0 * p.vote_m))
+    where = np.zeros(len(scenes)) if components is None else np.asarray(components)
+    pairs = _neighbour_pairs(positions_m[ids], where[ids], max(p.radius_m, 3.0 * p.vote_m))
     votes = _vote(np.array([scene.probabilities for scene in labelled]), pairs, p)
     numbers = _link(votes.argmax(axis=1), pairs, p)
-    regions = []
+    rooms = []
     for id_, number in enumerate(dict.fromkeys(numbers.tolist())):
         inside = numbers == number
-        label = decide(votes[inside].mean(axis=0), labelled[0].classes, p.min_probability)
+        mean_vote = votes[inside].mean(axis=0)
+        scene = most_probable_scene(mean_vote, labelled[0].classes, p.min_probability)
         points = positions_m[ids[inside]]
-        regions.append(
-            Region(
-                id_,
-                label.label,
-                label.probability,
-                tuple(ids[inside].tolist()),
-                _position(points.mean(axis=0)),
-                _position(points.min(axis=0)),
-                _position(points.max(axis=0)),
+        rooms.append(
+            MapRoom(
+                id=id_,
+                label=scene.label,
+                probability=scene.probability,
+                keyframe_ids=tuple(ids[inside].tolist()),
+                center_m=_position(points.mean(axis=0)),
+                low_m=_position(points.min(axis=0)),
+                high_m=_position(points.max(axis=0)),
             )
         )
-    return regions
+    return rooms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Keyframes ``i`` and ``j`` (M,) of one part that are near, both ways, themselves too."""
+    """Pairs (M,) of neighbouring keyframes ``i`` and ``j`` of one component.
+
+    Each pair is there in both orders, and each keyframe is paired with itself.
+    """
 
     i: NDArray[np.intp]
     j: NDArray[np.intp]
-    apart_m: Array
+    distance_m: Array
 
 
-def _pairs(positions_m: Array, parts: NDArray[np.generic], radius_m: float) -> _Pairs:
+def _neighbour_pairs(
+    positions_m: Array, components: NDArray[np.generic], radius_m: float
+) -> _Pairs:
     tree = cKDTree(positions_m)
-    found = tree.sparse_distance_matrix(tree, radius_m, output_type="ndarray")
-    found = found[parts[found["i"]] == parts[found["j"]]]
-    return _Pairs(found["i"], found["j"], found["v"])
+    pairs = tree.sparse_distance_matrix(tree, radius_m, output_type="ndarray")
+    pairs = pairs[components[pairs["i"]] == components[pairs["j"]]]
+    return _Pairs(pairs["i"], pairs["j"], pairs["v"])
 
 
-def _vote(probabilities: Array, pairs: _Pairs, params: RegionParams) -> Array:
+def _vote(probabilities: Array, pairs: _Pairs, params: RoomSegmentationParams) -> Array:
     """Return each keyframe's probabilities (K, C) as the mean of its neighbours' and its own."""
     n = len(probabilities)
-    weights = np.exp(-0.5 * (pairs.apart_m / params.vote_m) ** 2)
-    # Where the camera lingered there are many keyframes: each place counts once.
+    weights = np.exp(-0.5 * (pairs.distance_m / params.vote_m) ** 2)
+    # Where the camera lingered there are many keyframes; divide by their density.
     weights /= np.bincount(pairs.j, weights, n)[pairs.j]
     voted = sparse.csr_array((weights, (pairs.i, pairs.j)), (n, n)) @ probabilities
     return np.asarray(voted / voted.sum(axis=1, keepdims=True))
 
 
-def _link(labels: NDArray[np.intp], pairs: _Pairs, params: RegionParams) -> NDArray[np.intp]:
-    """Return the number of the region (K,) that each keyframe is in."""
-    near = pairs.apart_m <= params.radius_m
-    i, j, apart_m = pairs.i[near], pairs.j[near], pairs.apart_m[near]
-    alike = labels[i] == labels[j]
+def _link(
+    labels: NDArray[np.intp], pairs: _Pairs, params: RoomSegmentationParams
+) -> NDArray[np.intp]:
+    """Return the number of the room (K,) of each keyframe."""
+    near = pairs.distance_m <= params.radius_m
+    i, j, distance_m = pairs.i[near], pairs.j[near], pairs.distance_m[near]
+    same_label = labels[i] == labels[j]
     n = len(labels)
-    links = sparse.csr_array((np.ones(alike.sum()), (i[alike], j[alike])), (n, n))
+    links = sparse.csr_array((np.ones(same_label.sum()), (i[same_label], j[same_label])), (n, n))
     numbers = np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
-    stay: set[int] = set()
+    isolated: set[int] = set()
     while True:
-        kinds, counts = np.unique(numbers, return_counts=True)
+        rooms, counts = np.unique(numbers, return_counts=True)
         small = [
-            (count, kind)
-            for kind, count in zip(kinds.tolist(), counts.tolist(), strict=True)
-            if count < params.min_keyframes and kind not in stay
+            (count, room)
+            for room, count in zip(rooms.tolist(), counts.tolist(), strict=True)
+            if count < params.min_keyframes and room not in isolated
         ]
         if not small:
             return numbers
-        _, kind = min(small)
-        out = np.flatnonzero((numbers[i] == kind) & (numbers[j] != kind))
+        _, room = min(small)
+        out = np.flatnonzero((numbers[i] == room) & (numbers[j] != room))
         if len(out):
-            numbers[numbers == kind] = numbers[j[out[apart_m[out].argmin()]]]
+            numbers[numbers == room] = numbers[j[out[distance_m[out].argmin()]]]
         else:
-            stay.add(kind)
+            isolated.add(room)
 
 
 def _position(point: Array) -> Position:

@@ -1,4 +1,4 @@
-"""The scene of a single depth image, by itself."""
+"""The scene label of a single depth image file."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slam_bof.datasets import read_depth_image
 from slam_bof.errors import ModelError
-from slam_bof.scenes.hmm_filter import decide
+from slam_bof.scenes.hmm_filter import most_probable_scene
 from slam_bof.scenes.model import Model
 from slam_bof.types import Intrinsics
 
@@ -17,10 +17,10 @@ __all__ = ["ImageLabel", "label_image"]
 
 @dataclass(frozen=True, slots=True)
 class ImageLabel:
-    """What a model says of a depth image; ``probabilities`` by label, most likely first.
+    """The label of a depth image; ``probabilities`` by label, most probable first.
 
-    ``label`` is "unknown" where the most likely one is less probable than was asked for.
-    ``intrinsics_from`` says in words where the intrinsics are from.
+    ``label`` is "unknown" where the most probable label is less probable than ``min_probability``.
+    ``intrinsics_from`` states the source of the intrinsics in words.
     """
 
     image: str
@@ -39,21 +39,21 @@ def label_image(
     depth_scale: float | None = None,
     min_probability: float = 0.0,
 ) -> ImageLabel:
-    """Label a depth image file, read as ``images.read_depth_image`` does.
+    """Label a depth image file.
 
     Parameters
     ----------
     path, intrinsics, depth_scale
-        The file and its camera, as there.
+        The file and its camera; see ``slam_bof.datasets.read_depth_image``.
     model
-        Trained with labels.
+        A model trained with labels.
     min_probability
-        Below it the label is "unknown".
+        Least probability of a label; below it the label is "unknown".
 
     Raises
     ------
     DatasetError
-        As there.
+        If the image or its intrinsics cannot be read.
     ModelError
         If the model was trained without labels.
     """
@@ -62,13 +62,13 @@ def label_image(
         raise ModelError(f"the model ({model.trained_on}): found no labels, expected some")
     frame, source = read_depth_image(path, intrinsics=intrinsics, depth_scale=depth_scale)
     scene = labeller.label(frame)
-    decided = decide(scene.probabilities, scene.classes, min_probability)
+    best = most_probable_scene(scene.probabilities, scene.classes, min_probability)
     pairs = zip(scene.classes, scene.probabilities.tolist(), strict=True)
     return ImageLabel(
-        str(path),
-        decided.label,
-        decided.probability,
-        dict(sorted(pairs, key=lambda pair: -pair[1])),
-        frame.intrinsics,
-        source,
+        image=str(path),
+        label=best.label,
+        probability=best.probability,
+        probabilities=dict(sorted(pairs, key=lambda pair: -pair[1])),
+        intrinsics=frame.intrinsics,
+        intrinsics_from=source,
     )

@@ -1,4 +1,4 @@
-"""Training of a model: frames to descriptors to words, idf and scene classifier."""
+"""Training of a model: frames to descriptors, to words, idf and scene classifiers."""
 
 from __future__ import annotations
 
@@ -11,20 +11,24 @@ from numpy.typing import NDArray
 
 from slam_bof.bof import PlaceParams, TfIdf, Vocabulary, count_words, descriptors
 from slam_bof.scenes.bag_classifier import SceneClassifier
-from slam_bof.scenes.folds import cut_stretches
-from slam_bof.scenes.levelled_classifier import LevelledView, LevelScenes, look
+from slam_bof.scenes.folds import cut_segments
+from slam_bof.scenes.levelled_classifier import (
+    LevelledClassifier,
+    LevelledFeatures,
+    levelled_features,
+)
 from slam_bof.scenes.model import Model
 from slam_bof.types import Array, DepthFrame
 
-__all__ = ["Descriptors", "TrainingFrame", "describe_frames", "fit_model", "train_model"]
+__all__ = ["FrameDescriptors", "TrainingFrame", "describe_frames", "fit_model", "train_model"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingFrame:
-    """A depth frame with its scene label, if it has one, and the sequence it comes from.
+    """A depth frame with its scene label, if it has one, and its sequence (``group``).
 
-    Frames of one ``group`` are in the order of time.
-    ``gravity_camera`` (3,), the direction down, is needed for layers along gravity only.
+    Frames of one group are in the order of time. ``gravity_camera`` (3,), the direction of gravity
+    in the camera frame, is needed for layers along gravity only.
     """
 
     frame: DepthFrame
@@ -34,33 +38,33 @@ class TrainingFrame:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Descriptors:
-    """The descriptors of all training frames.
+class FrameDescriptors:
+    """The BOF descriptors of N training frames, and their levelled features.
 
-    ``values`` (M, n_values) stack those of each frame in turn; ``counts`` (N,) says how many
-    each frame has; ``labels`` and ``groups`` are of the N frames, and ``views``, where levelled
-    views are to be labelled.
+    ``values`` (M, n_values) stack the descriptors of all frames, ``counts`` (N,) is their number
+    in each frame. ``labels`` and ``groups`` have one entry a frame, and so has ``levelled``, which
+    is empty where no levelled classifier is trained.
     """
 
     values: NDArray[np.float32]
     counts: NDArray[np.intp]
     labels: tuple[str | None, ...]
     groups: tuple[str, ...]
-    views: tuple[LevelledView, ...] = ()
+    levelled: tuple[LevelledFeatures, ...] = ()
 
-    def of_frames(self) -> list[NDArray[np.float32]]:
+    def by_frame(self) -> list[NDArray[np.float32]]:
         """Return the descriptors of each of the N frames, (counts[k], n_values)."""
         return np.split(self.values, np.cumsum(self.counts)[:-1])
 
-    def select(self, frames: Sequence[int]) -> Descriptors:
-        """Return those of some frames, by number, in that order."""
-        parts = self.of_frames()
-        return Descriptors(
-            np.concatenate([self.values[:0], *(parts[k] for k in frames)]),
-            self.counts[list(frames)],
-            tuple(self.labels[k] for k in frames),
-            tuple(self.groups[k] for k in frames),
-            tuple(self.views[k] for k in frames) if self.views else (),
+    def select(self, frames: Sequence[int]) -> FrameDescriptors:
+        """Return the descriptors of some frames, by index, in that order."""
+        by_frame = self.by_frame()
+        return FrameDescriptors(
+            values=np.concatenate([self.values[:0], *(by_frame[k] for k in frames)]),
+            counts=self.counts[list(frames)],
+            labels=tuple(self.labels[k] for k in frames),
+            groups=tuple(self.groups[k] for k in frames),
+            levelled=tuple(self.levelled[k] for k in frames) if self.levelled else (),
         )
 
 
@@ -71,28 +75,39 @@ def train_model(
     n_words: int = 1024,
     seed: int = 0,
     trained_on: str,
-    scenes: SceneClassifier | None = None,
+    bag_classifier: SceneClassifier | None = None,
     levelled: bool = True,
     on_frame: Callable[[int], None] | None = None,
 ) -> Model:
-    """Train a model of frames; without labels of two classes it has no scene classifier.
+    """Train a model on frames; without labels of two classes it has no scene classifier.
 
     Parameters
     ----------
     frames
-        Read once, one by one.
+        The training frames; read once, one by one.
+    params
+        Parameters of layers, contours and BOF.
+    n_words
+        Number of words of the vocabulary.
+    seed
+        Seed of all random numbers.
     trained_on
-        What the frames are, in words, for the model file.
-    scenes
+        A description of the frames in words, for the model file.
+    bag_classifier
         The classifier of bags to fit, by default a linear one with ``seed``.
     levelled
-        Whether the model learns to label levelled views too, which it then prefers to bags.
+        Whether to train a levelled classifier too, which the model then prefers for its labels.
     on_frame
-        Called with the number of frames described so far, after each.
+        Called after each frame with the number of frames described so far.
     """
     described = describe_frames(frames, params, levelled=levelled, on_frame=on_frame)
     return fit_model(
-        described, params, n_words=n_words, seed=seed, trained_on=trained_on, scenes=scenes
+        described,
+        params,
+        n_words=n_words,
+        seed=seed,
+        trained_on=trained_on,
+        bag_classifier=bag_classifier,
     )
 
 
@@ -102,37 +117,43 @@ def describe_frames(
     *,
     levelled: bool = False,
     on_frame: Callable[[int], None] | None = None,
-) -> Descriptors:
-    """Return the BOF descriptors of frames, and what they show levelled if that is asked for."""
+) -> FrameDescriptors:
+    """Return the BOF descriptors of frames, and their levelled features where ``levelled``."""
     values = [np.empty((0, params.bof.n_values), np.float32)]
     labels: list[str | None] = []
     groups: list[str] = []
-    views: list[LevelledView] = []
+    features: list[LevelledFeatures] = []
     for n_done, item in enumerate(frames, start=1):
         values.append(descriptors(item.frame, params, gravity_camera=item.gravity_camera))
         labels.append(item.label)
         groups.append(item.group)
         if levelled:
-            views.append(look(item.frame, gravity_camera=item.gravity_camera))
+            features.append(levelled_features(item.frame, gravity_camera=item.gravity_camera))
         if on_frame is not None:
             on_frame(n_done)
-    counts = np.array([len(part) for part in values[1:]], np.intp)
-    return Descriptors(np.concatenate(values), counts, tuple(labels), tuple(groups), tuple(views))
+    return FrameDescriptors(
+        values=np.concatenate(values),
+        counts=np.array([len(of_frame) for of_frame in values[1:]], np.intp),
+        labels=tuple(labels),
+        groups=tuple(groups),
+        levelled=tuple(features),
+    )
 
 
 def fit_model(
-    described: Descriptors,
+    described: FrameDescriptors,
     params: PlaceParams,
     *,
     n_words: int = 1024,
     seed: int = 0,
     trained_on: str,
-    scenes: SceneClassifier | None = None,
+    bag_classifier: SceneClassifier | None = None,
 ) -> Model:
-    """Fit words, idf and the scene classifier (``scenes``, or the default) to descriptors.
+    """Fit vocabulary, idf and scene classifiers to descriptors.
 
-    How sure to be is learnt from sequences (groups) held out; of classes that few of them show,
-    from stretches of these, for what is seen a moment before or after is no test.
+    Probabilities are calibrated on sequences (groups) held out from training, or on segments of
+    sequences where few sequences show a class (``cut_segments``). Parameters are those of
+    ``train_model``.
 
     Raises
     ------
@@ -145,16 +166,23 @@ def fit_model(
     tf_idf = TfIdf().fit(counts)
     labelled = np.array([label is not None for label in described.labels])
     labels = np.array([label for label in described.labels if label is not None])
-    fitted = levels = None
+    fitted_classifier = levelled_classifier = None
     if len(set(labels.tolist())) > 1:
         bags = tf_idf.transform(counts)[labelled]
         sequences = list(compress(described.groups, labelled))
-        groups = cut_stretches(labels.tolist(), sequences)
-        n_moments = len(set(groups)) if groups != sequences else None
-        fitted = (scenes or SceneClassifier(seed=seed)).fit(bags, labels, groups)
-        if described.views:
-            views = list(compress(described.views, labelled))
-            levels = LevelScenes.learn(
-                views, labels.tolist(), groups, n_moments=n_moments, seed=seed
+        groups = cut_segments(labels.tolist(), sequences)
+        n_groups = len(set(groups)) if groups != sequences else None
+        fitted_classifier = (bag_classifier or SceneClassifier(seed=seed)).fit(bags, labels, groups)
+        if described.levelled:
+            features = list(compress(described.levelled, labelled))
+            levelled_classifier = LevelledClassifier.fit(
+                features, labels.tolist(), groups, n_groups=n_groups, seed=seed
             )
-    return Model(params, vocabulary, tf_idf, fitted, trained_on, levels)
+    return Model(
+        places=params,
+        vocabulary=vocabulary,
+        tf_idf=tf_idf,
+        bag_classifier=fitted_classifier,
+        trained_on=trained_on,
+        levelled_classifier=levelled_classifier,
+    )

@@ -1,14 +1,18 @@
 from . import config as config
 from .components import (
-    MapParts as MapParts,
+    MapComponents as MapComponents,
 )
 from .config import (
     Config as Config,
     PluginChoice as PluginChoice,
     preset as preset,
 )
+from .config_comments import (
+    describe_parameters as describe_parameters,
+    dump_with_comments as dump_with_comments,
+)
 from .frame_history import (
-    History as History,
+    FrameHistory as FrameHistory,
 )
 from .keyframe_map import (
     KeyframeMap as KeyframeMap,

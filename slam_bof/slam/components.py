@@ -1,4 +1,4 @@
-"""Which keyframes hang together: segments of an uninterrupted track, joined to parts by loops."""
+"""Connected components of the pose graph: track segments that loops have joined."""
 
 from __future__ import annotations
 
@@ -6,20 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
-__all__ = ["MapParts"]
+__all__ = ["MapComponents"]
 
 
-class MapParts:
-    """Knows of each keyframe which part of the map it is in.
+class MapComponents:
+    """The component of each keyframe.
 
-    Within a part, poses say where keyframes are from each other. Between parts they say nothing:
-    odometry was lost there, and no loop has joined the two yet.
+    Within a component, the relative poses of keyframes are known. Between components they are
+    not: odometry was lost there, and no loop has joined the two yet.
 
-    >>> parts = MapParts()
+    >>> components = MapComponents()
     >>> for segment in (0, 0, 1, 1, 2):
-    ...     parts.add(segment)
-    >>> parts.join(0, 4)
-    >>> parts.of_keyframes().tolist()
+    ...     components.add(segment)
+    >>> components.join(0, 4)
+    >>> components.of_keyframes().tolist()
     [0, 0, 1, 1, 0]
     """
 
@@ -28,7 +28,7 @@ class MapParts:
         self._joined: DisjointSet = DisjointSet()
 
     def __len__(self) -> int:
-        """Return the number of parts."""
+        """Return the number of components."""
         return int(self._joined.n_subsets)
 
     def add(self, segment: int) -> None:
@@ -37,10 +37,10 @@ class MapParts:
         self._joined.add(segment)
 
     def join(self, keyframe_id: int, other_id: int) -> None:
-        """Make one part of those that two keyframes are in."""
+        """Make one component of those that two keyframes are in."""
         self._joined.merge(self._segments[keyframe_id], self._segments[other_id])
 
     def of_keyframes(self) -> NDArray[np.int64]:
-        """Return each keyframe's part (K,), called by the first of its segments."""
-        part = {segment: min(self._joined.subset(segment)) for segment in self._joined}
-        return np.array([part[segment] for segment in self._segments], dtype=np.int64)
+        """Return each keyframe's component (K,), called by the first of its segments."""
+        component = {segment: min(self._joined.subset(segment)) for segment in self._joined}
+        return np.array([component[segment] for segment in self._segments], dtype=np.int64)

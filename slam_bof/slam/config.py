@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -13,7 +13,7 @@ from slam_bof.core import describe_error, registry, suggest
 from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
-from slam_bof.scenes import RegionParams, SceneFilterParams
+from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
 from slam_bof.types import Params
 
@@ -25,6 +25,7 @@ __all__ = [
     "load",
     "override",
     "parse",
+    "parse_saved",
     "preset",
     "presets",
     "resolve",
@@ -44,41 +45,86 @@ PORTS_OF_KEYS = {
 """Which port a key of the configuration chooses the plug-in of."""
 
 
+RENAMED_KEYS = {
+    "tracking.less": "max_inlier_drop",
+    "tracking.less_found": "max_inlier_drop_relocalised",
+    "tracking.min_compared": "min_visible_ratio",
+    "tracking.min_compared_found": "min_visible_ratio_relocalised",
+    "tracking.min_pixels": "min_valid_pixel_ratio",
+    "alignment.rest": "min_step",
+    "alignment.n_last_iterations": "n_final_iterations",
+    "keyframes.min_seen": "min_inlier_ratio",
+    "loops.min_seen": "min_inlier_ratio",
+    "loops.repeat_m": "revisit_distance_m",
+    "loops.repeat_rad": "revisit_angle_rad",
+    "recogniser.enough": "overlap_saturation",
+    "verification.slack_m": "max_correction_m",
+    "verification.slack_rad": "max_correction_rad",
+    "verification.joining": "component_joining",
+    "component_joining.look_about_rad": "min_view_spread_rad",
+    "component_joining.walk_about_m": "min_position_spread_m",
+    "component_joining.near_m": "max_pair_distance_m",
+    "component_joining.near_rad": "max_pair_angle_rad",
+    "component_joining.n_compared": "n_pairs",
+    "component_joining.max_blocking": "max_free_space_violation",
+    "options.max_blocking": "max_free_space_violation",
+    "labels.stay_s": "mean_stay_s",
+    "labels.stay_m": "mean_stay_m",
+    "labels.evidence": "evidence_exponent",
+    "labels.smoothing_evidence": "smoothing_evidence_exponent",
+    "labels.ahead_m": "look_ahead_m",
+    "regions": "rooms",
+}
+"""Keys of earlier versions by the end of their path, and their names today."""
+
+
 class PluginChoice(Params):
     """A plug-in by name, with its options; a bare name will do in YAML."""
 
     given_whole: ClassVar[bool] = True  # options of one plug-in are none of another's
 
-    name: str
-    options: dict[str, Any] = Field(default_factory=dict)
+    name: str = Field(description="Name of the plug-in, as slam-bof plugins lists it.")
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="Options of this plug-in; others have other options."
+    )
 
 
 class Config(Params):
     """Everything that, with a sequence, determines a run."""
 
-    model: str = Field("default", description="the model that comes along, or a file")
-    seed: int = Field(0, ge=0)
-    dataset: PluginChoice = Field(
-        PluginChoice(name="auto"), description="a data-set plug-in; auto looks at the folder"
+    model: str = Field(
+        "default", description='Model file, or "default" for the one in the package.'
     )
-    odometry: PluginChoice = PluginChoice(name="kiss-icp")
-    verifier: PluginChoice = PluginChoice(name="projective")
-    backend: PluginChoice = PluginChoice(name="gtsam")
+    seed: int = Field(0, ge=0, description="Seed of everything random in a run.")
+    dataset: PluginChoice = Field(
+        PluginChoice(name="auto"),
+        description="Plug-in that reads the sequence; auto recognises the layout of the folder.",
+    )
+    odometry: PluginChoice = Field(
+        PluginChoice(name="kiss-icp"), description="Plug-in that estimates odometry."
+    )
+    verifier: PluginChoice = Field(
+        PluginChoice(name="projective"),
+        description="Plug-in that registers the two keyframes of a loop candidate.",
+    )
+    backend: PluginChoice = Field(
+        PluginChoice(name="gtsam"), description="Plug-in that optimises the pose graph."
+    )
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()
-    regions: RegionParams = RegionParams()
+    rooms: RoomSegmentationParams = RoomSegmentationParams()
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()
     gravity_odom: tuple[float, float, float] = Field(
         (0.0, 1.0, 0.0),
-        description="down in the odometry's frame, for a model with layers along gravity; "
-        "by default the first camera is taken as level",
+        description="Direction of gravity in the odometry frame. The default is right if the "
+        "first camera is level.",
     )
     cloud: PointParams = Field(
         PointParams(stride=4, max_range_m=4.0),
-        description="what proximity and verifiers of clouds see",
+        description="Point clouds for proximity candidates and for verifiers of point clouds.",
     )
 
     @field_validator("dataset", "odometry", "verifier", "backend", mode="before")
@@ -108,13 +154,25 @@ def load(path: Path | str) -> Config:
 
 
 def parse(text: str, where: str) -> Config:
-    """Return the configuration that YAML text has; ``where`` names it in a ``ConfigError``."""
+    """Return the configuration in a YAML text; ``where`` names it in a ``ConfigError``."""
+    return _validate(_read_yaml(text, where), where)
+
+
+def parse_saved(text: str, where: str) -> Config:
+    """Return the configuration that a saved map keeps, as ``parse`` does.
+
+    Keys of earlier versions, which ``parse`` refuses, are taken under the names they have now.
+    """
+    return _validate(_upgrade(_read_yaml(text, where)), where)
+
+
+def _read_yaml(text: str, where: str) -> Any:
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:
         reason = " ".join(str(error).split())
         raise ConfigError(f"{where}: not a YAML file: {reason}") from error
-    return _validate({} if values is None else values, where)
+    return {} if values is None else values
 
 
 def presets() -> list[str]:
@@ -182,10 +240,35 @@ def complete(config: Config) -> Config:
 def _validate(values: Any, where: str) -> Config:
     if not isinstance(values, Mapping):
         raise ConfigError(f"{where}: found a {type(values).__name__}, expected keys and values")
+    for key, name in _renamed_keys(values):
+        raise ConfigError(f"{where}: unknown key {key!r}; its name is now {name!r}")
     try:
         return Config.model_validate(values)
     except ValidationError as error:
         raise ConfigError(f"{where}: {describe_error(error, Config)}") from error
+
+
+def _renamed_keys(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
+    """Find keys that have another name now; yield their whole path and that name."""
+    if not isinstance(values, Mapping):
+        return
+    for key, value in values.items():
+        place = f"{path}.{key}"
+        if new := next((n for old, n in RENAMED_KEYS.items() if place.endswith(f".{old}")), None):
+            yield place[1:], new
+        yield from _renamed_keys(value, place)
+
+
+def _upgrade(values: Any, path: str = "") -> Any:
+    """Return the values with today's names for keys of earlier versions."""
+    if not isinstance(values, Mapping):
+        return values
+    upgraded = {}
+    for key, value in values.items():
+        place = f"{path}.{key}"
+        new = next((n for old, n in RENAMED_KEYS.items() if place.endswith(f".{old}")), key)
+        upgraded[new] = _upgrade(value, f"{path}.{new}")
+    return upgraded
 
 
 def _assign(values: dict[str, Any], path: list[str], value: Any) -> None:

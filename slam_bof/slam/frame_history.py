@@ -10,10 +10,10 @@ import numpy as np
 from slam_bof.geometry import spread_correction
 from slam_bof.types import LOST, Array, FramePose, Keyframe, Trajectory
 
-__all__ = ["History"]
+__all__ = ["FrameHistory"]
 
 
-class History:
+class FrameHistory:
     """Remembers every frame that was processed, in the order they came."""
 
     def __init__(self, frames: Iterable[FramePose] = ()) -> None:

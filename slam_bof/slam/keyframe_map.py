@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.core import StageClock, registry
-from slam_bof.geometry import PointParams, points_camera, se3, thicken, view_overlap, view_stride
+from slam_bof.geometry import (
+    PointParams,
+    points_camera,
+    restore_frame,
+    se3,
+    view_overlap,
+    view_stride,
+)
 from slam_bof.loops import (
     CovisibilityParams,
     LoopCounts,
@@ -22,7 +29,18 @@ from slam_bof.ports import Backend
 from slam_bof.scenes import Model, SceneFilter, SceneFilterParams, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.pose_graph import MapGraph
-from slam_bof.types import Array, Candidate, DepthFrame, Keyframe, KeyframeRecord, Loop, Pose
+from slam_bof.types import (
+    Array,
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    EdgeKind,
+    Keyframe,
+    KeyframeRecord,
+    Loop,
+    Pose,
+)
 
 __all__ = ["KeyframeMap"]
 
@@ -81,7 +99,7 @@ class KeyframeMap:
     @classmethod
     def from_config(cls, config: Config, clock: StageClock) -> Self:
         """Build one as a configuration says."""
-        model = models.load_default() if config.model == "default" else models.load(config.model)
+        model = models.resolve(config.model)
         detector = LoopDetector(
             config.loops,
             model.vocabulary.n_words,
@@ -115,9 +133,33 @@ class KeyframeMap:
         return self.keyframes[self.first_keyframe :]
 
     @property
-    def parts(self) -> NDArray[np.intp]:
-        """The part of the map (K,) that each keyframe is in."""
-        return self.graph.parts.of_keyframes()
+    def backend(self) -> Backend:
+        """The pose graph's back-end."""
+        return self.graph.backend
+
+    @property
+    def loops(self) -> list[Loop]:
+        """The edges of the graph between keyframes that see the same surfaces."""
+        return self.graph.loops
+
+    @property
+    def loops_left_out(self) -> list[Loop]:
+        """The edges that ``LoopCloser.finish`` found to contradict the others."""
+        return self.graph.left_out
+
+    def poses(self) -> Array:
+        """Return the pose ``T_map_camera`` (K, 4, 4) of every keyframe."""
+        return self.graph.poses()
+
+    @property
+    def n_components(self) -> int:
+        """The number of connected components of the pose graph."""
+        return len(self.graph.components)
+
+    @property
+    def components(self) -> NDArray[np.intp]:
+        """The component (K,) that each keyframe is in."""
+        return self.graph.components.of_keyframes()
 
     @property
     def loop_counts(self) -> LoopCounts:
@@ -162,22 +204,22 @@ class KeyframeMap:
         self.graph.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
-            proposed = {c.match_id for c in found.candidates if c.decision != "rejected"}
+            proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
             T_map_camera = self.graph.poses()
             covisible = self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
             self._verification.add(frame, points)
             verified = self._verification.verify(
                 found.candidates + covisible,
                 T_map_camera,
-                parts=self.parts,
+                components=self.components,
                 guesses=found.guesses,
             )
         self._close(keyframe, verified.admitted)
         return verified
 
-    def take_back(self, record: KeyframeRecord) -> None:
+    def replay(self, record: KeyframeRecord) -> None:
         """Do again what a saved keyframe came to, but for what was searched for and measured."""
-        keyframe, frame = record.keyframe, thicken(record.thin, record.keyframe.stamp_s)
+        keyframe, frame = record.keyframe, restore_frame(record.depth, record.keyframe.stamp_s)
         if keyframe.scene is not None:
             position_m = keyframe.T_odom_camera[:3, 3]
             self._scene_filter.update(
@@ -187,8 +229,8 @@ class KeyframeMap:
         self._detector.remember(keyframe, frame, record.candidates)
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
-        loops = [loop for loop in record.measured if loop.kind != "covisibility"]
-        self._verification.admit(loops, self.graph.poses(), self.parts)
+        loops = [loop for loop in record.measured if loop.kind != EdgeKind.COVISIBILITY]
+        self._verification.admit(loops, self.graph.poses(), self.components)
         self._close(keyframe, record.admitted)
 
     def state(self) -> dict[str, Any]:
@@ -201,10 +243,10 @@ class KeyframeMap:
 
     def _close(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
         loops = list(loops)
-        self._detector.note(loops)
+        self._detector.on_loops_accepted(loops)
         with self._clock.stage("optimize"):
             self.graph.add_loops(loops)
-            self.T_map_track = self.graph.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
+            self.T_map_track = self.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
 
     def _cloud_params(self, frame: DepthFrame) -> PointParams:
         """Return which pixels become points: of those that a saved map keeps."""
@@ -227,18 +269,18 @@ class KeyframeMap:
         overlaps = view_overlap(
             points[::every], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m
         )
-        parts = self.parts
-        overlaps[parts[:-1] != parts[-1]] = 0.0
+        components = self.components
+        overlaps[components[:-1] != components[-1]] = 0.0
         min_age_s = self._detector.params.min_age_s
         return [
             Candidate(
                 keyframe.id,
                 match_id,
-                "proximity",
-                "loop"
+                CandidateSource.PROXIMITY,
+                EdgeKind.LOOP
                 if match_id < self.first_keyframe
                 or keyframe.stamp_s - self.keyframes[match_id].stamp_s >= min_age_s
-                else "covisibility",
+                else EdgeKind.COVISIBILITY,
             )
             for match_id in choose_covisible(overlaps, p)
             if match_id not in found

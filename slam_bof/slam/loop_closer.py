@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
-from slam_bof.geometry import CloudCamera, in_steps, se3, thicken, thin
-from slam_bof.loops import LoopCounts
-from slam_bof.ports import Backend
+from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
 from slam_bof.slam.config import Config, load, preset
-from slam_bof.slam.frame_history import History
+from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.tracking import KeyframeSelector, Track, Tracker, TrackingParams
 from slam_bof.types import (
@@ -24,9 +22,7 @@ from slam_bof.types import (
     DepthFrame,
     FramePose,
     Intrinsics,
-    Keyframe,
     KeyframeRecord,
-    Loop,
     Pose,
     Step,
     Trajectory,
@@ -59,7 +55,7 @@ class LoopCloser:
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> None:
-        self.history = History()
+        self.history = FrameHistory()
         self.journal = journal
         """Takes each keyframe with all that was learnt with it."""
         self._map = keyframes
@@ -145,7 +141,7 @@ class LoopCloser:
         """
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         is_settled = self._camera is not None
-        frame, T_camera_view = self._cloud_camera.look(stamp_s, points_camera, T_odom_camera)
+        frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
         T_odom_view = T_odom_camera @ T_camera_view
         step = self._process(frame, T_odom_view, se3.inverse(T_camera_view))
         if not is_settled and not frame.depth.any():
@@ -161,12 +157,12 @@ class LoopCloser:
         with self._clock.stage("optimize"):
             self._map.graph.optimize()
         own = self._map.of_session
-        poses = self.backend.poses()[self.first_keyframe :] if own else None
+        poses = self._map.poses()[self._map.first_keyframe :] if own else None
         return self.history.trajectory(own, poses)
 
     @one_blas_thread()
     def restore(self, records: Iterable[KeyframeRecord]) -> None:
-        """Go on from a saved map (``read_records``), right after its newest keyframe.
+        """Go on from a saved map (``replay_keyframes``), right after its newest keyframe.
 
         The next frame is the one after it, of the same odometry; where it is not, call
         ``begin_session`` first. What follows is the same as if nothing had come in between.
@@ -176,86 +172,41 @@ class LoopCloser:
         ValueError
             If this is not a new one.
         """
-        if self.keyframes or len(self.history):
+        if self._map.keyframes or len(self.history):
             raise ValueError("only a new one can go on from a saved map")
         record = None
         for record in records:
             while self._map.session < record.keyframe.session:
                 self.begin_session()
-            self._camera = record.thin.intrinsics
+            self._camera = record.depth.intrinsics
             self.history.frames.extend(record.frames)
-            self._map.take_back(record)
+            self._map.replay(record)
         if record is None or not record.state:
             return  # no run goes on from a map that was pruned, only another session
-        frame, last = thicken(record.thin, record.keyframe.stamp_s), record.frames[-1]
+        frame, last = restore_frame(record.depth, record.keyframe.stamp_s), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
         self._tracker.restore(record.state["tracker"], frame, track)
         self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
         self._map.restore(record.state["detector"])
         if record.state["is_around"] is not None:
-            self._cloud_camera.restore(record.thin.intrinsics, record.state["is_around"])
+            self._cloud_camera.restore(record.depth.intrinsics, record.state["is_around"])
 
     def begin_session(self) -> None:
         """Expect frames of another odometry, or of one that was started anew, in the same place.
 
-        Their clock may start anew as well. They are a part of the map of their own until loops
+        Their clock may start anew as well. They are a component of their own until loops
         join them to what was seen before.
         """
         self._map.begin_session()
-        self.history = History()
-        segment = self.keyframes[-1].segment + 1 if self.keyframes else 0
+        self.history = FrameHistory()
+        segment = self._map.keyframes[-1].segment + 1 if self._map.keyframes else 0
         self._tracker = Tracker(self._tracking, seed=self._seed, segment=segment)
         self._selector.reset()
 
     @property
-    def keyframes(self) -> list[Keyframe]:
-        """All keyframes, those of a saved map first."""
-        return self._map.keyframes
-
-    @property
-    def first_keyframe(self) -> int:
-        """The first keyframe of this session."""
-        return self._map.first_keyframe
-
-    @property
-    def session(self) -> int:
-        """How many sessions were before this one."""
-        return self._map.session
-
-    @property
-    def model_hash(self) -> str:
-        """The content hash of the model whose words describe the keyframes."""
-        return self._map.model_hash
-
-    @property
-    def backend(self) -> Backend:
-        """The pose graph."""
-        return self._map.graph.backend
-
-    @property
-    def loops(self) -> list[Loop]:
-        """The graph's edges between keyframes that see the same."""
-        return self._map.graph.loops
-
-    @property
-    def loops_left_out(self) -> list[Loop]:
-        """Those that ``finish`` found to contradict the rest."""
-        return self._map.graph.left_out
-
-    @property
-    def loop_counts(self) -> LoopCounts:
-        """The session's keyframes so far by how far their search for a loop came."""
-        return self._map.loop_counts
-
-    @property
-    def n_parts(self) -> int:
-        """Of how many parts, which no loop has joined, the map is."""
-        return len(self._map.graph.parts)
-
-    @property
-    def parts(self) -> NDArray[np.intp]:
-        """The part of the map (K,) that each keyframe is in."""
-        return self._map.parts
+    def map(self) -> KeyframeMap:
+        """The keyframes, their graph and their loops; read it, and leave changes to the closer."""
+        return self._map
 
     @property
     def n_odometry_lost(self) -> int:
@@ -296,7 +247,7 @@ class LoopCloser:
             raise ValueError(f"{place}: {error}") from None
         step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
         self._camera = camera
-        frame = in_steps(frame)
+        frame = quantize_depth(frame)
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera, step_covariance)
         segment = LOST if track.is_lost else track.segment
@@ -308,7 +259,7 @@ class LoopCloser:
             # The frame before, whose agreement showed that the track is found.
             self.history.find_last_but_one(track.segment)
         if not track.is_lost and self._selector.select(
-            frame_index, track.T_odom_camera, seen=track.seen
+            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
             self._tracker.keep()
             self.history.frames[-1] = replace(
@@ -316,7 +267,7 @@ class LoopCloser:
             )
             step = self._add_keyframe(frame_index, frame, track)
         else:
-            scene = self.keyframes[-1].scene if self.keyframes else None
+            scene = self._map.keyframes[-1].scene if self._map.keyframes else None
             step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
         T_map_camera = self._map.T_map_track @ track.T_odom_camera
         return replace(
@@ -330,8 +281,8 @@ class LoopCloser:
         """Tell whether the track is found anew; a session's first keyframe begins nothing anew."""
         return (
             not track.is_lost
-            and len(self.keyframes) > self.first_keyframe
-            and self.keyframes[-1].segment != track.segment
+            and len(self._map.keyframes) > self._map.first_keyframe
+            and self._map.keyframes[-1].segment != track.segment
         )
 
     def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
@@ -343,7 +294,7 @@ class LoopCloser:
             segment=track.segment,
             step_covariance=track.step_covariance,
         )
-        keyframe = self.keyframes[-1]
+        keyframe = self._map.keyframes[-1]
         candidates, admitted = tuple(verified.candidates), tuple(verified.admitted)
         if self.journal is not None:
             with self._clock.stage("save"):
@@ -353,7 +304,7 @@ class LoopCloser:
                     "is_around": self._cloud_camera.is_around,
                 }
                 outcome = (candidates, tuple(verified.measured), admitted)
-                self.journal(KeyframeRecord(keyframe, thin(frame), unsaved, *outcome, state))
+                self.journal(KeyframeRecord(keyframe, subsample(frame), unsaved, *outcome, state))
         return Step(keyframe, keyframe.scene, admitted, candidates, np.eye(4))
 
 

@@ -114,20 +114,22 @@ class MiniSlam:
         stamps_s = np.array([frame.stamp_s for frame in self._closer.history.frames])
         odometry = Trajectory(stamps_s, np.array(poses).reshape(-1, 4, 4))
         optimized = self._closer.finish()
-        first = self._closer.first_keyframe
-        ids = range(first, len(self._closer.keyframes))
-        T_map_camera = self._closer.backend.poses() if self._closer.keyframes else np.empty(0)
-        loops = self._closer.loops
+        first = self._closer.map.first_keyframe
+        ids = range(first, len(self._closer.map.keyframes))
+        T_map_camera = (
+            self._closer.map.backend.poses() if self._closer.map.keyframes else np.empty(0)
+        )
+        loops = self._closer.map.loops
         return SlamResult(
             odometry,
             optimized,
             np.array(indices, dtype=np.int64),
             n_frames - len(indices),
             len(restored),
-            [replace(k, id=k.id - first) for k in self._closer.keyframes[first:]],
+            [replace(k, id=k.id - first) for k in self._closer.map.keyframes[first:]],
             np.reshape(T_map_camera, (-1, 4, 4))[first:],
             of_session(loops, ids),
-            of_session(self._closer.loops_left_out, ids),
+            of_session(self._closer.map.loops_left_out, ids),
             sum(loop.match_id < first <= loop.query_id for loop in loops),
         )
 

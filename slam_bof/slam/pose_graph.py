@@ -1,4 +1,4 @@
-"""The pose graph, and which parts of the map it holds together."""
+"""The pose graph, and which components it holds together."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 
 from slam_bof.geometry import se3
 from slam_bof.ports import Backend
-from slam_bof.slam.components import MapParts
+from slam_bof.slam.components import MapComponents
 from slam_bof.types import Array, Keyframe, Loop
 
 __all__ = ["MapGraph"]
 
 
 class MapGraph:
-    """Takes keyframes and loops in the order they come; joins parts of the map that loops join."""
+    """Takes keyframes and loops in the order they come; joins components that loops join."""
 
     def __init__(self, backend: Backend) -> None:
         self.backend = backend
-        self.parts = MapParts()
+        self.components = MapComponents()
         self.loops: list[Loop] = []
         self.left_out: list[Loop] = []
         self._added: list[Loop] = []
@@ -28,7 +28,7 @@ class MapGraph:
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Add a node where odometry has it from the one before."""
         self.backend.add_keyframe(keyframe)
-        self.parts.add(keyframe.segment)
+        self.components.add(keyframe.segment)
 
     def add_loops(self, loops: Iterable[Loop]) -> None:
         """Add the edges that came with the newest keyframe, and bring the map up to date."""
@@ -51,14 +51,14 @@ class MapGraph:
         return self.backend.poses()
 
     def _join(self, loop: Loop) -> None:
-        """Where the loop is between two parts of the map, carry the younger to the older."""
-        parts = self.parts.of_keyframes()
-        match, query = parts[loop.match_id], parts[loop.query_id]
+        """Where the loop is between two components, carry the younger to the older."""
+        components = self.components.of_keyframes()
+        match, query = components[loop.match_id], components[loop.query_id]
         if match == query:
             return
         T_map_camera = self.poses()
         T_map_query = T_map_camera[loop.match_id] @ loop.T_match_query
         T = T_map_query @ se3.inverse(T_map_camera[loop.query_id])
         younger, T = (query, T) if query > match else (match, se3.inverse(T))
-        self.backend.move(np.flatnonzero(parts == younger), T)
-        self.parts.join(loop.match_id, loop.query_id)
+        self.backend.move(np.flatnonzero(components == younger), T)
+        self.components.join(loop.match_id, loop.query_id)

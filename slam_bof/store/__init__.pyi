@@ -2,7 +2,7 @@ from .integrity import (
     check_map as check_map,
 )
 from .map_components import (
-    parts_of as parts_of,
+    components_of as components_of,
 )
 from .map_store import (
     MapStore as MapStore,
@@ -13,20 +13,20 @@ from .map_writer import (
     MapWriter as MapWriter,
 )
 from .pruning import (
+    find_redundant_keyframes as find_redundant_keyframes,
     prune_map as prune_map,
-    redundant as redundant,
 )
 from .queries import (
     query_keyframes as query_keyframes,
     query_loops as query_loops,
-    query_regions as query_regions,
+    query_rooms as query_rooms,
 )
 from .recovery import (
     recover_map as recover_map,
 )
 from .replay import (
-    read_records as read_records,
+    replay_keyframes as replay_keyframes,
 )
 from .schema import (
-    CHECKED as CHECKED,
+    KEY_COLUMNS as KEY_COLUMNS,
 )

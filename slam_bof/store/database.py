@@ -1,4 +1,4 @@
-"""A ``map.db`` as a file: made, opened, locked against a second writer, written in transactions."""
+"""A ``map.db`` file: created, opened, locked against a second writer, written in transactions."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from types import TracebackType
 from typing import Any, Self
 
 from slam_bof.errors import MapError
-from slam_bof.store.migrations import UPGRADES, upgrade
+from slam_bof.store.migrations import MIGRATABLE_VERSIONS, migrate
 from slam_bof.store.schema import APPLICATION_ID, SCHEMA, SCHEMA_VERSION
-from slam_bof.store.schema_repair import check_layout
-from slam_bof.store.sqlite import FOUND, connect, naming_errors
+from slam_bof.store.schema_repair import check_schema
+from slam_bof.store.sqlite import ERROR_MESSAGES, as_map_errors, connect
 
-__all__ = ["MapFile"]
+__all__ = ["MapDatabase"]
 
 
-class MapFile:
+class MapDatabase:
     """A map.db, open for reading or for writing; one program at a time may write.
 
-    Every method raises ``MapError``, one line that names the file, where it cannot be read or
-    written.
+    Every method raises ``MapError``, with one line that names the file, if the file cannot be
+    read or written.
     """
 
     def __init__(
@@ -36,17 +36,23 @@ class MapFile:
 
     @classmethod
     def create(cls, path: Path | str) -> Self:
-        """Make an empty map; ``MapError`` if there is a file already.
+        """Create an empty map.
 
-        It appears at once as a whole, however the program ends.
+        The file is written under another name and renamed when complete, so that a killed program
+        leaves no half-made map.
+
+        Raises
+        ------
+        MapError
+            If the file exists.
         """
         path = Path(path)
         with contextlib.ExitStack() as on_error:
             lock = on_error.enter_context(_WriterLock(path))
             if path.exists():
-                raise MapError(f"{path}: found a file, expected none where a new map is to be made")
+                raise MapError(f"{path}: found a file, expected none: a new map needs a new name")
             new = path.with_name(f".{path.name}.new")
-            with naming_errors(path):
+            with as_map_errors(path):
                 new.unlink(missing_ok=True)
                 on_error.callback(new.unlink, missing_ok=True)
                 db = connect(new, "rwc")
@@ -56,17 +62,22 @@ class MapFile:
                 db = connect(path, "rw")
                 on_error.callback(db.close)
                 db.execute("PRAGMA journal_mode = WAL")
-            lock.hold(path)
+            lock.remember(path)
             on_error.pop_all()
         return cls(path, db, lock=lock)
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = True) -> Self:
-        """Open a map; one that a run is still writing can be read too.
+        """Open a map; a map that a run is still writing can be read.
 
-        One of an older version is upgraded: in its file if it may be written, else in memory.
-        ``MapError`` if there is none, it is of a version not known, or somebody else writes to it
-        and it is to be written.
+        A map of an older version is migrated, in its file if it is opened for writing, otherwise
+        in memory.
+
+        Raises
+        ------
+        MapError
+            If there is no map, its version is unknown or its schema damaged, or it is opened for
+            writing while another program writes to it.
         """
         path = Path(path)
         if not path.is_file():
@@ -74,29 +85,29 @@ class MapFile:
             raise MapError(f"{path}: found {found}, expected a map.db")
         with contextlib.ExitStack() as on_error:
             lock = None if read_only else on_error.enter_context(_WriterLock(path))
-            with naming_errors(path, otherwise=sqlite3.SQLITE_CORRUPT):
+            with as_map_errors(path, otherwise=sqlite3.SQLITE_CORRUPT):
                 db = connect(path, "ro" if read_only else "rw")
                 on_error.callback(lambda: db.close())
                 version = _version(db, path)
                 if version != SCHEMA_VERSION:
-                    db = upgrade(db, version, in_place=not read_only)
-                wrong = check_layout(db)
+                    db = migrate(db, version, in_place=not read_only)
+                wrong = check_schema(db)
                 if wrong:
                     raise MapError(
-                        f"{path}: found damage in what says how it is read ({wrong}); "
-                        "slam-bof map recover saves what is whole into a new map"
+                        f"{path}: found a damaged database schema ({wrong}); "
+                        "slam-bof map recover copies the intact rows into a new map"
                     )
                 if lock is not None:
                     db.execute("PRAGMA journal_mode = WAL")
-                    lock.hold(path)
+                    lock.remember(path)
             on_error.pop_all()
         return cls(path, db, lock=lock)
 
     def close(self) -> None:
-        """Close the file; the last writer leaves no files beside it."""
+        """Close the file; after the last writer no other files are left beside it."""
         if self._lock is not None:
-            # Out of WAL mode the map can be read from read-only media. While somebody else
-            # has it open that cannot be, and the file stays in WAL mode, which is as good.
+            # Without WAL mode the map can be read from read-only media. SQLite cannot leave WAL
+            # mode while another program has the file open; the map is complete in either mode.
             with contextlib.suppress(sqlite3.OperationalError):
                 self._db.execute("PRAGMA busy_timeout = 0")
                 self._db.execute("PRAGMA journal_mode = DELETE")
@@ -115,28 +126,31 @@ class MapFile:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the file; what was committed stays."""
+        """Close the file; committed data is kept."""
         self.close()
 
     @property
     def connection(self) -> sqlite3.Connection:
-        """SQLite's own, for those who look at the file itself."""
+        """The underlying SQLite connection."""
         return self._db
 
     def select(self, statement: str, *values: object) -> list[Any]:
-        """Run a SELECT; rows can be indexed by column name."""
-        with naming_errors(self.path):
+        """Return the rows of a SELECT; they can be indexed by column name."""
+        with as_map_errors(self.path):
             return self._db.execute(statement, values).fetchall()
 
     @contextlib.contextmanager
     def transaction(self) -> Iterator[sqlite3.Connection]:
-        """Commit all that the block writes or, on an error, nothing.
+        """Commit everything that the block writes or, on an error, nothing.
 
-        ``MapError`` if the file was removed meanwhile: SQLite would go on with what no one sees.
+        Raises
+        ------
+        MapError
+            If the file was removed or replaced: SQLite would write to a file without a name.
         """
-        if self._lock is not None and not self._lock.is_of(self.path):
+        if self._lock is not None and not self._lock.is_still(self.path):
             raise MapError(f"{self.path}: found it removed or replaced while it was being written")
-        with naming_errors(self.path):
+        with as_map_errors(self.path):
             self._db.execute("BEGIN IMMEDIATE")
             try:
                 yield self._db
@@ -147,23 +161,23 @@ class MapFile:
                 raise
 
     def copy_to(self, path: Path) -> None:
-        """Copy the map into a new file, as it is in this moment."""
-        with naming_errors(path):
+        """Copy the map, as it is now, into a new file."""
+        with as_map_errors(path):
             copy = sqlite3.connect(path)
             with contextlib.closing(copy):
                 self._db.backup(copy)
 
     def vacuum(self) -> None:
-        """Give the room of deleted rows back."""
-        with naming_errors(self.path):
+        """Rebuild the file without the space of deleted rows."""
+        with as_map_errors(self.path):
             self._db.execute("VACUUM")
 
 
 class _WriterLock:
-    """Held by the one program that writes to a map, as long as it lives: a file beside it."""
+    """A lock file beside a map, held by the one program that writes to it."""
 
     def __init__(self, path: Path) -> None:
-        # By whichever link a program comes, there is one lock.
+        # Resolved, so that programs that use different symbolic links share one lock.
         self._file = Path(f"{path.resolve()}-lock")
         while True:
             try:
@@ -174,24 +188,24 @@ class _WriterLock:
                 fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 os.close(self._descriptor)
-                raise MapError(f"{path}: {FOUND[sqlite3.SQLITE_BUSY]}") from None
+                raise MapError(f"{path}: {ERROR_MESSAGES[sqlite3.SQLITE_BUSY]}") from None
             if self._is_current():
                 return
-            os.close(self._descriptor)  # of a file that the last writer has just removed
+            os.close(self._descriptor)  # the previous writer has just removed this lock file
 
-    def hold(self, path: Path) -> None:
-        """Note which file it is that is written."""
+    def remember(self, path: Path) -> None:
+        """Remember which file is being written."""
         self._written = path.stat()
 
-    def is_of(self, path: Path) -> bool:
-        """Tell whether a path still is of the file that is written."""
+    def is_still(self, path: Path) -> bool:
+        """Return whether a path still names the file that is being written."""
         try:
             return os.path.samestat(self._written, path.stat())
         except FileNotFoundError:
             return False
 
     def release(self) -> None:
-        """Let others write."""
+        """Remove the lock file, so that others can write."""
         self._file.unlink(missing_ok=True)
         os.close(self._descriptor)
 
@@ -209,12 +223,12 @@ class _WriterLock:
 
 
 def _version(db: sqlite3.Connection, path: Path) -> int:
-    """Return the version of a map's layout, this or one that can be upgraded."""
+    """Return a map's schema version, the current one or one that can be migrated."""
     ((application_id,),) = db.execute("PRAGMA application_id").fetchall()
     ((version,),) = db.execute("PRAGMA user_version").fetchall()
     if application_id != APPLICATION_ID:
-        raise MapError(f"{path}: found no map in this database, expected a map.db of slam_bof")
-    if version != SCHEMA_VERSION and version not in UPGRADES:
-        expected = ", ".join(map(str, (*UPGRADES, SCHEMA_VERSION)))
+        raise MapError(f"{path}: found another program's database, expected a map.db of slam_bof")
+    if version != SCHEMA_VERSION and version not in MIGRATABLE_VERSIONS:
+        expected = ", ".join(map(str, (*MIGRATABLE_VERSIONS, SCHEMA_VERSION)))
         raise MapError(f"{path}: found map version {version}, expected one of {expected}")
     return int(version)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.slam import MapParts
+from slam_bof.slam import MapComponents
 from slam_bof.store.map_store import MapStore
 
-__all__ = ["parts_of"]
+__all__ = ["components_of"]
 
 
-def parts_of(store: MapStore) -> NDArray[np.int64]:
-    """Return the part of the map (K,) that each keyframe is in, by the loops of the graph."""
-    parts = MapParts()
+def components_of(store: MapStore) -> NDArray[np.int64]:
+    """Return the component (K,) of each keyframe, as the loops of the graph connect them."""
+    components = MapComponents()
     for keyframe in store.keyframes():
-        parts.add(keyframe.segment)
+        components.add(keyframe.segment)
     for loop in store.loops():
-        parts.join(loop.query_id, loop.match_id)
-    return parts.of_keyframes()
+        components.join(loop.query_id, loop.match_id)
+    return components.of_keyframes()

@@ -1,4 +1,4 @@
-"""Writes a map beside the run, so that the run does not wait for the disk."""
+"""Writes keyframes in a thread of its own, so that the run does not wait for the disk."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ __all__ = ["MapWriter"]
 
 
 class MapWriter:
-    """Commits keyframes in a thread of its own, one at a time.
+    """Commits keyframes one at a time in a thread of its own.
 
-    What goes wrong with one is raised when the next comes, or at the end. Others may use the
-    store after ``wait`` and before the next ``write``.
+    An error in writing one keyframe is raised when the next is written, or at the end. The store
+    may be used by others after ``wait`` and before the next ``write``.
 
     Examples
     --------
@@ -30,18 +30,18 @@ class MapWriter:
         self._last: Future[None] | None = None
 
     def write(self, record: KeyframeRecord) -> None:
-        """Save a keyframe, once the one before it is saved.
+        """Start saving a keyframe, once the keyframe before it is saved.
 
         Raises
         ------
         MapError
-            If the one before it could not be saved; this one is not saved either.
+            If the keyframe before it could not be saved; this one is then not saved either.
         """
         self.wait()
         self._last = self._thread.submit(self._store.write, record)
 
     def wait(self) -> None:
-        """Return when all is saved; ``MapError`` if it could not be."""
+        """Wait until the last keyframe is saved; ``MapError`` if it could not be."""
         last, self._last = self._last, None
         if last is not None:
             last.result()
@@ -56,7 +56,7 @@ class MapWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Wait for the last keyframe; an error that is under way already goes first."""
+        """Wait for the last keyframe, unless another error is already being raised."""
         try:
             if error is None:
                 self.wait()

@@ -1,16 +1,25 @@
-"""Maps of older versions made into maps of this one."""
+"""Migration of maps of older schema versions to the current one."""
 
 from __future__ import annotations
 
 import sqlite3
 
-from slam_bof.store.schema import CHECKED, POSE, SCHEMA_VERSION, SMOOTHED, TABLES, VIEWS
-from slam_bof.store.sqlite import columns, prepare, sign
+from slam_bof.store.schema import (
+    KEY_COLUMNS,
+    POSE_COLUMNS,
+    SCHEMA_VERSION,
+    SMOOTHED_COLUMNS,
+    TABLES,
+    VIEWS,
+)
+from slam_bof.store.sqlite import columns, prepare, update_checksums
 
-__all__ = ["UPGRADES", "upgrade"]
+__all__ = ["MIGRATABLE_VERSIONS", "migrate"]
+
+_ADD_COLUMN = "ALTER TABLE keyframes ADD COLUMN {} {};"
 
 _TO_3 = f"""
-{"".join(f"ALTER TABLE keyframes ADD COLUMN {name} {kind};" for name, kind in SMOOTHED.items())}
+{"".join(_ADD_COLUMN.format(name, kind) for name, kind in SMOOTHED_COLUMNS.items())}
 CREATE TABLE regions (
     id INTEGER PRIMARY KEY, label TEXT, probability REAL, n_keyframes INTEGER,
     center_x REAL, center_y REAL, center_z REAL,
@@ -29,7 +38,7 @@ DROP INDEX loops_by_query;
 {TABLES}
 INSERT INTO parameters (key, value)
     SELECT key, value FROM old_parameters WHERE key IN ('classes', 'model');
-INSERT INTO sessions (id, dataset, sequence, config, seed, version, is_finished) VALUES (0, 
+INSERT INTO sessions (id, dataset, sequence, config, seed, version, is_finished) VALUES (0,
     coalesce((SELECT value FROM old_parameters WHERE key = 'dataset'), ''),
     coalesce((SELECT value FROM old_parameters WHERE key = 'sequence'), ''),
     coalesce((SELECT value FROM old_parameters WHERE key = 'config'), ''),
@@ -38,15 +47,15 @@ INSERT INTO sessions (id, dataset, sequence, config, seed, version, is_finished)
 
 _LOOPS_TO_4 = f"""
 UPDATE candidates SET
-    ({", ".join(POSE)}, information, loop_id, admitted_by, decision) =
-    (SELECT {", ".join(POSE)}, information, id, candidates.query_id, 'accepted'
+    ({", ".join(POSE_COLUMNS)}, information, loop_id, admitted_by, decision) =
+    (SELECT {", ".join(POSE_COLUMNS)}, information, id, candidates.query_id, 'accepted'
         FROM old_loops AS l WHERE l.query_id = candidates.query_id
         AND l.match_id = candidates.match_id AND l.source = candidates.source)
     WHERE EXISTS (SELECT 1 FROM old_loops AS l WHERE l.query_id = candidates.query_id
         AND l.match_id = candidates.match_id AND l.source = candidates.source);
 INSERT INTO candidates (query_id, match_id, kind, source, n_consistent, decision, reason,
-        {", ".join(POSE)}, information, loop_id, admitted_by)
-    SELECT query_id, match_id, kind, source, 0, 'accepted', '', {", ".join(POSE)},
+        {", ".join(POSE_COLUMNS)}, information, loop_id, admitted_by)
+    SELECT query_id, match_id, kind, source, 0, 'accepted', '', {", ".join(POSE_COLUMNS)},
         information, id, query_id
     FROM old_loops WHERE id NOT IN (SELECT loop_id FROM candidates WHERE loop_id IS NOT NULL);
 DROP TABLE old_loops; DROP TABLE old_candidates; DROP TABLE old_regions;
@@ -54,15 +63,15 @@ DROP TABLE old_keyframes; DROP TABLE old_parameters;
 {VIEWS}
 """
 
-UPGRADES = (2, 3)
-"""Versions that can be upgraded."""
+MIGRATABLE_VERSIONS = (2, 3)
+"""Older schema versions that can be migrated."""
 
 
-def upgrade(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
-    """Return a map of an older version as one of this: itself, or a copy of it in memory.
+def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
+    """Migrate a map to the current schema version and return its connection.
 
-    Maps before version 4 kept no depth images: they can be read, but nothing recognises the
-    places in them.
+    Without ``in_place`` the map is copied to memory and the copy migrated. Maps before version 4
+    have no depth images: they can be read, but their places cannot be recognised.
     """
     if not in_place:
         copy = sqlite3.connect(":memory:", isolation_level=None)
@@ -75,11 +84,11 @@ def upgrade(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
     try:
         db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
         for table in ("keyframes", "candidates", "regions"):
-            _copy(db, table)
+            _copy_rows(db, table)
         for statement in _LOOPS_TO_4.split(";"):
             db.execute(statement)
-        for table in CHECKED:
-            sign(db, table)
+        for table in KEY_COLUMNS:
+            update_checksums(db, table)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         db.execute("COMMIT")
     except BaseException:
@@ -91,8 +100,8 @@ def upgrade(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
     return db
 
 
-def _copy(db: sqlite3.Connection, table: str) -> None:
-    """Copy the rows of an old table into its new form."""
+def _copy_rows(db: sqlite3.Connection, table: str) -> None:
+    """Copy the rows of an old table into the new one."""
     shared = [name for name in columns(db, f"old_{table}") if name in columns(db, table)]
     extra, of_extra = (", session", ", 0") if table == "keyframes" else ("", "")
     names = ", ".join(shared)

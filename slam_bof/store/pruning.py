@@ -1,4 +1,4 @@
-"""Keyframes dropped from a map at rest."""
+"""Removal of keyframes from a finished map."""
 
 from __future__ import annotations
 
@@ -12,18 +12,15 @@ from numpy.typing import NDArray
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
-from slam_bof.slam import History
-from slam_bof.store.map_components import parts_of
+from slam_bof.slam import FrameHistory
+from slam_bof.store.map_components import components_of
 from slam_bof.store.map_store import MapStore
-from slam_bof.store.row_codec import INSERT_CANDIDATE, candidate_row, edge_row
-from slam_bof.store.schema import CHECKED, POSE
-from slam_bof.store.sqlite import sign
-from slam_bof.types import Candidate, Loop
+from slam_bof.store.row_codec import INSERT_CANDIDATE, encode_candidate, encode_edge
+from slam_bof.store.schema import KEY_COLUMNS, POSE_COLUMNS
+from slam_bof.store.sqlite import update_checksums
+from slam_bof.types import Candidate, CandidateSource, Decision, EdgeKind, Loop
 
-__all__ = ["drop_keyframes", "prune_map", "redundant"]
-
-PRUNED = "pruned"
-"""The ``source`` of loops that stand for those of keyframes which are gone."""
+__all__ = ["drop_keyframes", "find_redundant_keyframes", "prune_map"]
 
 REFERENCES = (
     ("views", "keyframe_id"),
@@ -32,21 +29,21 @@ REFERENCES = (
     ("candidates", "admitted_by"),
     ("keyframes", "id"),
 )
-"""Where the ids of keyframes are."""
+"""The columns that hold ids of keyframes."""
 
 
 def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -> int:
-    """Drop keyframes from a map, in one transaction; return how many.
+    """Drop keyframes from a map, in one transaction; return how many were dropped.
 
-    Where the others are stays what it is: what the graph came to becomes their odometry, so that
-    they do not need the loops of those that are gone. Ids are counted anew.
+    The poses of the other keyframes do not change: their optimised poses become their odometry,
+    so that the loops of dropped keyframes are no longer needed. The keyframes are renumbered.
 
     Parameters
     ----------
     path
         The map.
     choose
-        Says of a map which keyframes to drop, such as ``redundant``.
+        Returns the ids of the keyframes to drop, such as ``find_redundant_keyframes``.
 
     Raises
     ------
@@ -57,29 +54,38 @@ def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -
         for session in store.sessions():
             if not session.is_finished:
                 raise MapError(
-                    f"{path}: found that the run of {session.sequence} was interrupted, "
+                    f"{path}: found an interrupted run of {session.sequence}, "
                     "expected a finished one: resume it first"
                 )
         dropped = set(choose(store))
         if not dropped:
             return 0
-        parts = parts_of(store)
-        kept = [k for k in range(len(parts)) if k not in dropped]
+        components = components_of(store)
+        kept = [k for k in range(len(components)) if k not in dropped]
         with store.transaction() as db:
-            _settle(store, db)
+            _freeze_map_poses(store, db)
             drop_keyframes(db, dropped)
-            _tie(store, db, parts[kept])
+            _link_segments(store, db, components[kept])
         store.vacuum()
     return len(dropped)
 
 
-def redundant(store: MapStore, *, distance_m: float, angle_rad: float) -> list[int]:
-    """Return keyframes that stand where an older one does that is kept, nearer and less turned."""
-    T_map_camera, parts = store.map_poses(), parts_of(store)
+def find_redundant_keyframes(store: MapStore, *, distance_m: float, angle_rad: float) -> list[int]:
+    """Return the ids of keyframes close to an older keyframe that is kept.
+
+    Parameters
+    ----------
+    store
+        The map.
+    distance_m, angle_rad
+        A keyframe is redundant if both its distance to the older one and its rotation from it
+        are smaller than these, and both are in one component.
+    """
+    T_map_camera, components = store.map_poses(), components_of(store)
     kept: list[int] = []
     dropped: list[int] = []
     for id_, T in enumerate(T_map_camera):
-        others = [k for k in kept if parts[k] == parts[id_]]
+        others = [k for k in kept if components[k] == components[id_]]
         motions = se3.inverse(T_map_camera[others]) @ T
         near = np.linalg.norm(motions[:, :3, 3], axis=1) < distance_m
         near &= np.array(se3.rotation_angle(motions)) < angle_rad
@@ -88,14 +94,14 @@ def redundant(store: MapStore, *, distance_m: float, angle_rad: float) -> list[i
 
 
 def drop_keyframes(db: sqlite3.Connection, dropped: Collection[int]) -> None:
-    """Delete keyframes with all that names them, count the others anew, and sign all rows.
+    """Delete keyframes and the rows that refer to them, renumber the others, update checksums.
 
-    Runs within a transaction.
+    It must run within a transaction.
     """
     db.execute("PRAGMA defer_foreign_keys = ON")
     db.execute("CREATE TEMP TABLE gone (id INTEGER PRIMARY KEY)")
     db.executemany("INSERT INTO gone VALUES (?)", [(int(id_),) for id_ in sorted(dropped)])
-    # A loop that a dropped keyframe admitted is admitted by the next one that is kept.
+    # A loop admitted with a dropped keyframe counts as admitted with the next one that is kept.
     db.execute(
         "UPDATE candidates SET admitted_by = (SELECT min(id) FROM keyframes"
         " WHERE id > admitted_by AND id NOT IN gone) WHERE admitted_by IN gone"
@@ -109,66 +115,74 @@ def drop_keyframes(db: sqlite3.Connection, dropped: Collection[int]) -> None:
     db.execute("DELETE FROM keyframes WHERE id IN gone")
     db.execute("DELETE FROM frames WHERE session NOT IN (SELECT session FROM keyframes)")
     db.execute("DROP TABLE gone")
-    _count_anew(db)
+    _renumber_keyframes(db)
     db.execute(
         "UPDATE regions SET n_keyframes ="
         " (SELECT count(*) FROM keyframes WHERE region = regions.id)"
     )
     db.execute("DELETE FROM regions WHERE n_keyframes = 0")
-    for table in CHECKED:
-        sign(db, table)
+    for table in KEY_COLUMNS:
+        update_checksums(db, table)
 
 
-def _count_anew(db: sqlite3.Connection) -> None:
-    """Let the ids of keyframes be 0, 1, 2 ... in the order they have."""
-    db.execute("CREATE TEMP TABLE anew (old INTEGER PRIMARY KEY, new INTEGER)")
-    db.execute("INSERT INTO anew SELECT id, row_number() OVER (ORDER BY id) - 1 FROM keyframes")
+def _renumber_keyframes(db: sqlite3.Connection) -> None:
+    """Renumber the keyframes 0, 1, 2 ... in their present order."""
+    db.execute("CREATE TEMP TABLE renumbered (old INTEGER PRIMARY KEY, new INTEGER)")
+    db.execute(
+        "INSERT INTO renumbered SELECT id, row_number() OVER (ORDER BY id) - 1 FROM keyframes"
+    )
     for table, column in REFERENCES:
-        # By way of negative numbers, which nobody has.
+        # By way of negative numbers, so that no new id equals an old one that is still in use.
         db.execute(
-            f"UPDATE {table} SET {column} = -1 - (SELECT new FROM anew WHERE old = {column})"
+            f"UPDATE {table} SET {column} = -1 - (SELECT new FROM renumbered WHERE old = {column})"
             f" WHERE {column} IS NOT NULL"
         )
         db.execute(f"UPDATE {table} SET {column} = -1 - {column} WHERE {column} < 0")
-    db.execute("DROP TABLE anew")
+    db.execute("DROP TABLE renumbered")
 
 
-def _settle(store: MapStore, db: sqlite3.Connection) -> None:
-    """Let the map's poses be what odometry says, of keyframes and of all frames."""
+def _freeze_map_poses(store: MapStore, db: sqlite3.Connection) -> None:
+    """Replace the odometry of keyframes and of all frames by their optimised poses."""
     keyframes, T_map_camera = store.keyframes(), store.map_poses()
     for session in store.sessions():
         own = [k for k, keyframe in enumerate(keyframes) if keyframe.session == session.id]
         frames = [replace(frame, T_view_camera=None) for frame in store.frames(session.id)]
         if not own or not frames:
             continue
-        settled = History(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
+        frozen = FrameHistory(frames).trajectory([keyframes[k] for k in own], T_map_camera[own])
         db.executemany(
             "UPDATE frames SET T_odom_camera = ? WHERE session = ? AND frame_index = ?",
             [
                 (np.ascontiguousarray(T[:3]).astype("<f8").tobytes(), session.id, index)
-                for index, T in enumerate(settled.poses)
+                for index, T in enumerate(frozen.poses)
             ],
         )
-    db.execute(f"UPDATE keyframes SET {', '.join(f'odom_{name} = map_{name}' for name in POSE)}")
+    db.execute(
+        f"UPDATE keyframes SET {', '.join(f'odom_{name} = map_{name}' for name in POSE_COLUMNS)}"
+    )
     db.execute("UPDATE sessions SET state = NULL")
 
 
-def _tie(store: MapStore, db: sqlite3.Connection, parts: NDArray[np.int64]) -> None:
-    """Tie each segment to the nearest keyframe of an older one of its part, as loops had it."""
+def _link_segments(store: MapStore, db: sqlite3.Connection, components: NDArray[np.int64]) -> None:
+    """Add a loop from each segment to the nearest older keyframe of its component.
+
+    Without it, segments that only the loops of dropped keyframes connected would fall apart.
+    """
     keyframes, T_map_camera = store.keyframes(), store.map_poses()
     segments = np.array([keyframe.segment for keyframe in keyframes])
     ((next_id,),) = db.execute("SELECT coalesce(max(loop_id) + 1, 0) FROM candidates")
     for segment in np.unique(segments):
         query = int(np.flatnonzero(segments == segment)[0])
-        older = np.flatnonzero((parts[:query] == parts[query]) & (segments[:query] != segment))
+        is_own = components[:query] == components[query]
+        older = np.flatnonzero(is_own & (segments[:query] != segment))
         if not len(older):
             continue
-        apart_m = np.linalg.norm(T_map_camera[older, :3, 3] - T_map_camera[query, :3, 3], axis=1)
-        match = int(older[apart_m.argmin()])
+        offsets_m = T_map_camera[older, :3, 3] - T_map_camera[query, :3, 3]
+        match = int(older[np.linalg.norm(offsets_m, axis=1).argmin()])
         T = se3.inverse(T_map_camera[match]) @ T_map_camera[query]
-        loop = Loop(query, match, T, np.eye(6), "loop", PRUNED)
-        candidate = Candidate(query, match, PRUNED, decision="accepted")
-        edge = edge_row(loop, loop_id=next_id, admitted_by=query)
-        db.execute(INSERT_CANDIDATE, candidate_row(candidate, edge))
+        loop = Loop(query, match, T, np.eye(6), EdgeKind.LOOP, CandidateSource.PRUNED)
+        candidate = Candidate(query, match, CandidateSource.PRUNED, decision=Decision.ACCEPTED)
+        edge = encode_edge(loop, loop_id=next_id, admitted_by=query)
+        db.execute(INSERT_CANDIDATE, encode_candidate(candidate, edge))
         next_id += 1
-    sign(db, "candidates", "source = ?", PRUNED)
+    update_checksums(db, "candidates", "source = ?", CandidateSource.PRUNED)

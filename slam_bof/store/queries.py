@@ -1,4 +1,4 @@
-"""Questions to a saved map, answered in plain values that print and turn into JSON."""
+"""Queries of a saved map, answered with plain values that can be printed or written as JSON."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any, Literal
 import numpy as np
 
 from slam_bof.errors import MapError
-from slam_bof.scenes import UNKNOWN, Region
+from slam_bof.scenes import UNKNOWN_LABEL, MapRoom
 from slam_bof.store.map_store import MapStore
-from slam_bof.store.row_codec import scene_of
-from slam_bof.store.schema import POSE
+from slam_bof.store.row_codec import decode_scene
+from slam_bof.store.schema import POSE_COLUMNS
 
 __all__ = [
-    "KeyframeRecord",
-    "LoopRecord",
+    "KeyframeInfo",
+    "LoopInfo",
     "query_keyframes",
     "query_loops",
-    "query_regions",
+    "query_rooms",
 ]
 
 Labels = Literal["smoothed", "raw"]
@@ -28,14 +28,15 @@ Quaternion = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class KeyframeRecord:
-    """What a map says of a keyframe.
+class KeyframeInfo:
+    """A keyframe of a map.
 
-    ``translation_m`` and ``quaternion_xyzw`` are the camera's in ``frame``: "map", or "odom"
-    while the map has no pose for it yet. ``scene`` is what the keyframe alone shows, with the
-    ``probabilities`` by label, most likely first; ``smoothed`` is the label by the keyframes
-    around as well, "unknown" where none is likely enough; ``region`` the room it stands in.
-    ``apart_s`` and ``distance_m`` are from the time and position asked for.
+    ``translation_m`` and ``quaternion_xyzw`` are the camera's pose in ``frame``: "map", or "odom"
+    while the keyframe has no optimised pose. ``scene`` is the label of the keyframe's image alone,
+    with the ``probabilities`` of all labels, most likely first. ``smoothed`` is the label that
+    also uses the keyframes before and after, "unknown" where none is likely enough. ``region`` is
+    the id of the room the keyframe is in. ``apart_s`` and ``distance_m`` are the time difference
+    and distance to the time and position that were asked for.
     """
 
     id: int
@@ -56,8 +57,8 @@ class KeyframeRecord:
 
 
 @dataclass(frozen=True, slots=True)
-class LoopRecord:
-    """An accepted loop; the pose is T_match_query."""
+class LoopInfo:
+    """An accepted loop; ``translation_m`` and ``quaternion_xyzw`` are T_match_query."""
 
     query_id: int
     match_id: int
@@ -78,30 +79,30 @@ def query_keyframes(
     min_probability: float = 0.0,
     labels: Labels = "smoothed",
     limit: int | None = None,
-) -> list[KeyframeRecord]:
-    """Find keyframes; conditions combine.
+) -> list[KeyframeInfo]:
+    """Return the keyframes that meet all conditions given.
 
     Parameters
     ----------
     store
         The map.
     keyframe_id
-        Only this one.
+        Return only this keyframe.
     time_s
-        The nearest to this time first.
+        Order by the time difference to this time.
     near_m
-        The nearest to this position (x, y, z) in the map frame first.
+        Order by the distance to this position (x, y, z) in the map frame.
     scene, min_probability
-        Only those with this label, and with a label of at least this probability.
+        Return only keyframes with this label, and with a label of at least this probability.
     labels
-        Which label that is: ``smoothed`` (of a keyframe without, its own) or ``raw``.
+        Which label is meant: ``smoothed`` (where there is none, the raw one) or ``raw``.
     limit
-        At most so many.
+        Return at most this many.
 
     Raises
     ------
     MapError
-        If the map has no such keyframe, or does not know the scene.
+        If the map has no such keyframe or no such scene label.
     """
     _check_scene(store, scene)
     label, probability = "scene", "scene_probability"
@@ -119,9 +120,11 @@ def query_keyframes(
     if keyframe_id is not None and scene is None and min_probability <= 0 and not rows:
         ((n,),) = store.select("SELECT count(*) FROM keyframes")
         raise MapError(
-            f"{store.path}: found no keyframe {keyframe_id}, expected one of its {n}, from 0 on"
+            f"{store.path}: found no keyframe {keyframe_id}, expected 0 to {n - 1}"
+            if n
+            else f"{store.path}: found no keyframes, expected keyframe {keyframe_id}"
         )
-    records = [_record(store, row, time_s, near_m) for row in rows]
+    records = [_keyframe_info(store, row, time_s, near_m) for row in rows]
     if time_s is not None:
         records.sort(key=lambda record: record.apart_s or 0.0)
     if near_m is not None:
@@ -129,15 +132,15 @@ def query_keyframes(
     return records[:limit]
 
 
-def query_regions(
+def query_rooms(
     store: MapStore, *, scene: str | None = None, min_probability: float = 0.0
-) -> list[Region]:
-    """Return the rooms of the map, the most probable of the scene asked for first.
+) -> list[MapRoom]:
+    """Return the rooms of a map; of one scene label, the most probable first.
 
     Raises
     ------
     MapError
-        If the map does not know the scene.
+        If the map has no such scene label.
     """
     _check_scene(store, scene)
     found = [
@@ -148,8 +151,8 @@ def query_regions(
     return sorted(found, key=lambda region: -region.probability) if scene else found
 
 
-def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[LoopRecord]:
-    """Return the accepted loops, all or those of one keyframe; no covisibility edges."""
+def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[LoopInfo]:
+    """Return the accepted loops, all or those of one keyframe, without covisibility edges."""
     rows = store.select(
         "SELECT loops.*, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s FROM loops"
         " JOIN keyframes AS q ON q.id = query_id JOIN keyframes AS m ON m.id = match_id"
@@ -157,34 +160,34 @@ def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[Loop
         keyframe_id,
     )
     names = ("query_id", "match_id", "query_stamp_s", "match_stamp_s", "source")
-    records: list[LoopRecord] = []
+    records: list[LoopInfo] = []
     for row in rows:
         values: dict[str, Any] = {name: row[name] for name in names}
         translation_m, quaternion_xyzw = _pose(row, "")
         records.append(
-            LoopRecord(translation_m=translation_m, quaternion_xyzw=quaternion_xyzw, **values)
+            LoopInfo(translation_m=translation_m, quaternion_xyzw=quaternion_xyzw, **values)
         )
     return records
 
 
 def _check_scene(store: MapStore, scene: str | None) -> None:
     classes = store.classes()
-    if scene is None or scene in classes or (scene == UNKNOWN and classes):
+    if scene is None or scene in classes or (scene == UNKNOWN_LABEL and classes):
         return
-    known = ", ".join((*classes, UNKNOWN)) if classes else "none, it has no labels"
+    known = ", ".join((*classes, UNKNOWN_LABEL)) if classes else "none, it has no labels"
     raise MapError(f"{store.path}: found no scene {scene!r}, expected one of: {known}")
 
 
-def _record(
+def _keyframe_info(
     store: MapStore, row: Any, time_s: float | None, near_m: Sequence[float] | None
-) -> KeyframeRecord:
+) -> KeyframeInfo:
     frame = "odom" if row["map_tx"] is None else "map"
     translation_m, quaternion_xyzw = _pose(row, f"{frame}_")
     probabilities: dict[str, float] = {}
-    if (label := scene_of(row, store.classes())) is not None:
+    if (label := decode_scene(row, store.classes())) is not None:
         pairs = zip(label.classes, label.probabilities.tolist(), strict=True)
         probabilities = dict(sorted(pairs, key=lambda pair: -pair[1]))
-    return KeyframeRecord(
+    return KeyframeInfo(
         id=row["id"],
         frame_index=row["frame_index"],
         stamp_s=row["stamp_s"],
@@ -206,5 +209,5 @@ def _record(
 
 
 def _pose(row: Any, prefix: str) -> tuple[Position, Quaternion]:
-    tx, ty, tz, qx, qy, qz, qw = (row[prefix + name] for name in POSE)
+    tx, ty, tz, qx, qy, qz, qw = (row[prefix + name] for name in POSE_COLUMNS)
     return (tx, ty, tz), (qx, qy, qz, qw)

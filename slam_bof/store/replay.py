@@ -1,4 +1,4 @@
-"""A saved map read back as it was written, keyframe by keyframe."""
+"""Replay of a saved map: the records that were written, keyframe by keyframe."""
 
 from __future__ import annotations
 
@@ -8,29 +8,37 @@ from dataclasses import replace
 
 from slam_bof.errors import MapError
 from slam_bof.store.map_store import MapStore
-from slam_bof.store.row_codec import candidate_of, frame_of, keyframe_of, loop_of
+from slam_bof.store.row_codec import decode_candidate, decode_frame, decode_keyframe, decode_loop
 from slam_bof.types import KeyframeRecord
 
-__all__ = ["read_records"]
+__all__ = ["replay_keyframes"]
 
 
-def read_records(store: MapStore, *, as_before: int | None = None) -> Iterator[KeyframeRecord]:
-    """Return all that was written, keyframe by keyframe, to go on from there.
+def replay_keyframes(
+    store: MapStore, *, reopened_session: int | None = None
+) -> Iterator[KeyframeRecord]:
+    """Yield the records of a map in the order they were written, to continue the map from there.
 
-    Loops that the end of a session left out are not among those admitted; but for the end of
-    the session ``as_before``, which is as if it had not come yet.
+    Parameters
+    ----------
+    store
+        The map.
+    reopened_session
+        Id of a session that is replayed as if it had not been finished: loops that its final
+        optimisation left out are among the admitted loops again. Those that other sessions left
+        out are not.
 
     Raises
     ------
     MapError
-        If the map has no depth images, or one cannot be read.
+        If the map has no depth images, or a row is damaged.
     """
     states = {
         row["id"]: json.loads(row["state"] or "{}") for row in store.checked_rows("sessions", "")
     }
     starts: dict[int, int] = {}
     for row in store.checked_rows("keyframes", "ORDER BY id"):
-        keyframe = keyframe_of(row, store.classes())
+        keyframe = decode_keyframe(row, store.classes())
         frames = store.checked_rows(
             "frames",
             "WHERE session = ? AND frame_index BETWEEN ? AND ? ORDER BY frame_index",
@@ -44,25 +52,25 @@ def read_records(store: MapStore, *, as_before: int | None = None) -> Iterator[K
                 f"{store.path}: found no {'frame' if views else 'depth image'} of keyframe "
                 f"{keyframe.id}, expected one: maps made before version 4 have none"
             )
-        poses = tuple(map(frame_of, frames))
+        poses = tuple(map(decode_frame, frames))
         own = store.checked_rows("candidates", "WHERE query_id = ? ORDER BY id", keyframe.id)
         admitted = store.checked_rows(
             "candidates",
             "WHERE admitted_by = ? AND (left_out_by IS NULL OR left_out_by = ?) ORDER BY loop_id",
             keyframe.id,
-            -1 if as_before is None else as_before,
+            -1 if reopened_session is None else reopened_session,
         )
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
-            replace(
+            keyframe=replace(
                 keyframe,
                 T_odom_camera=poses[-1].T_odom_camera,
                 step_covariance=poses[-1].covariance,
             ),
-            store.thin(views[0]),
-            poses,
-            tuple(map(candidate_of, own)),
-            tuple(loop_of(row) for row in own if row["information"] is not None),
-            tuple(map(loop_of, admitted)),
-            states[keyframe.session],
+            depth=store.depth_of(views[0]),
+            frames=poses,
+            candidates=tuple(map(decode_candidate, own)),
+            measured=tuple(decode_loop(row) for row in own if row["information"] is not None),
+            admitted=tuple(map(decode_loop, admitted)),
+            state=states[keyframe.session],
         )

@@ -1,77 +1,83 @@
-"""The layout of ``map.db``, how it is opened, and what its errors mean.
+"""The tables of ``map.db``.
 
-One SQLite file, readable with the sqlite3 shell. Poses are columns ``tx ty tz`` in metres and
-``qx qy qz qw``; blobs are little-endian arrays. ``crc`` is of the other columns of its row, as
-``row_crc`` computes it, so that damage is noticed and named.
+A map is one SQLite file, readable with the sqlite3 shell. Poses are columns ``tx ty tz`` in metres
+and ``qx qy qz qw``; blobs are little-endian arrays. ``crc`` is the checksum of the other columns
+of its row, as ``row_crc`` computes it, by which damaged rows are found.
 
 =============== ===================================================================
 table           columns
 =============== ===================================================================
-``sessions``    one for each run that the map is of: ``id``; ``dataset``,
-                ``sequence``; ``config`` (YAML), ``seed``, ``version``,
-                ``max_frames`` (null: all); ``state`` (JSON), what else it takes to
-                resume after the newest keyframe; ``is_finished``
-``keyframes``   ``id``; ``session``; ``frame_index`` in it; ``stamp_s``; ``segment``, which
-                counts how often odometry was lost or another began; ``odom_tx ... odom_qw``
-                (T_odom_camera, as tracking has mended it); ``map_tx ... map_qw``
-                (T_map_camera, null until the session is finished); ``scene`` and
-                ``scene_probability``, null without a scene classifier;
-                ``probabilities`` float64, in the order of the parameter ``classes``;
-                ``words`` int32 and ``weights`` float32, the bag;
-                ``smoothed``, ``smoothed_probability``, ``smoothed_probabilities``,
-                the label by the keyframes around as well (by those before until the
-                session is finished); ``region`` it stands in
-``views``       ``keyframe_id``; ``depth``, every few pixels of its depth image as a 16-bit
-                PNG, in steps of which ``per_m`` make a metre
-``frames``      ``id``; every frame up to the newest keyframe (up to the last once the session is
-                finished): ``session``, ``frame_index``, ``stamp_s``, ``segment`` (-1: odometry
-                lost); ``T_odom_raw`` and ``T_odom_camera`` float64 (3, 4), by odometry and as
-                tracking has mended it, of keyframes followed by float64 (6, 6), the
-                covariance of the step from the keyframe before; ``T_view_camera`` of
-                point clouds, else null
-``candidates``  the audit trail, every pair considered: ``id`` and the fields of
-                ``slam_bof.types.Candidate``, null where not measured; ``decision``
-                is ``accepted``, ``rejected`` or ``held`` (never agreed with).
-                Of those that geometry accepts ``tx ... qw`` (T_match_query) and
-                ``information`` float64 (6, 6), rotation first; of those that entered the
-                graph ``loop_id``, in that order, and ``admitted_by``, the newest keyframe then;
-                ``left_out_by`` the session at whose end they were left out again
-``regions``     rooms: ``id``, ``label``, ``probability``, ``n_keyframes``;
-                ``center_*``, ``low_*`` and ``high_*`` of where the camera was, in
-                metres in the map frame
-``parameters``  ``key``, ``value``: ``classes``, the scene labels as a JSON list, ``camera``,
+``sessions``    One row for each run of the map: ``id``; ``dataset``, ``sequence``; ``config``
+                (YAML), ``seed``, ``version``; ``max_frames`` (null: all); ``state``, the JSON
+                needed to resume after the newest keyframe; ``is_finished``.
+``keyframes``   ``id``; ``session``; ``frame_index`` in the session; ``stamp_s``; ``segment``, a
+                counter that increases when odometry was lost or restarted;
+                ``odom_tx ... odom_qw`` (T_odom_camera, corrected by tracking);
+                ``map_tx ... map_qw`` (T_map_camera, null until the session is finished);
+                ``scene`` and ``scene_probability`` (null without a scene classifier);
+                ``probabilities``, float64, in the order of the parameter ``classes``;
+                ``words`` int32 and ``weights`` float32 of the bag of words; ``smoothed``,
+                ``smoothed_probability`` and ``smoothed_probabilities``, the label that also
+                uses the keyframes before and, once the session is finished, after;
+                ``region``, the id of the room.
+``views``       ``keyframe_id``; ``depth``, its subsampled depth image as a 16-bit PNG with
+                ``per_m`` units per metre.
+``frames``      Every frame up to the newest keyframe, and every frame of a finished session:
+                ``id``, ``session``, ``frame_index``, ``stamp_s``; ``segment`` (-1: odometry was
+                lost); ``T_odom_raw`` from odometry and ``T_odom_camera`` corrected by tracking,
+                float64 (3, 4), of keyframes followed by float64 (6, 6), the covariance of the
+                step from the keyframe before; ``T_view_camera`` for point clouds, null for
+                depth images.
+``candidates``  The audit trail, one row for each pair considered: ``id`` and the fields of
+                ``slam_bof.types.Candidate``, null where not measured. ``decision`` is
+                ``accepted``, ``rejected`` or ``held`` (waiting for loops that agree).
+                Pairs that geometric verification accepts have ``tx ... qw`` (T_match_query)
+                and ``information``, float64 (6, 6), rotation first. Those in the graph have
+                ``loop_id``, their order of entry, and ``admitted_by``, the newest keyframe at
+                that time. ``left_out_by`` is the session whose final optimisation left the
+                loop out again.
+``regions``     Rooms: ``id``, ``label``, ``probability``, ``n_keyframes``; ``center_*``,
+                ``low_*`` and ``high_*`` of the camera positions, in metres, in the map frame.
+``parameters``  ``key`` and ``value``: ``classes``, the scene labels as a JSON list; ``camera``;
                 ``model`` ...
 =============== ===================================================================
 
-The view ``loops`` has the graph's edges: ``id``, ``query_id``, ``match_id``, ``kind`` (loop or
-covisibility), ``source`` (view, bag or proximity), ``tx ... qw`` and ``information``. The views
-``keyframe_labels`` and ``loop_audit`` show labels and candidates for people to read.
-``PRAGMA user_version`` is the version of this layout.
+The view ``loops`` lists the edges of the graph: ``id``, ``query_id``, ``match_id``, ``kind`` (loop
+or covisibility), ``source`` (view, bag, proximity or pruned), ``tx ... qw`` and ``information``.
+The views ``keyframe_labels`` and ``loop_audit`` show labels and candidates in readable form.
+``PRAGMA user_version`` is the schema version.
 """
 
 from __future__ import annotations
 
-__all__ = ["APPLICATION_ID", "BOX", "CHECKED", "POSE", "SCHEMA", "SCHEMA_VERSION", "SMOOTHED"]
+__all__ = [
+    "APPLICATION_ID",
+    "BOX_COLUMNS",
+    "KEY_COLUMNS",
+    "POSE_COLUMNS",
+    "SCHEMA",
+    "SCHEMA_VERSION",
+    "SMOOTHED_COLUMNS",
+]
 
 SCHEMA_VERSION = 4
 APPLICATION_ID = 0x424F464D
-"""Tells a map from other programs' databases ("BOFM")."""
+"""Marks a database as a map of slam_bof ("BOFM")."""
 
-POSE = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
+POSE_COLUMNS = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
 
-BOX = tuple(f"{corner}_{axis}" for corner in ("center", "low", "high") for axis in "xyz")
-"""Columns of a region's extent."""
+BOX_COLUMNS = tuple(f"{corner}_{axis}" for corner in ("center", "low", "high") for axis in "xyz")
+"""Columns of the extent of a room."""
 
-
-SMOOTHED = {
+SMOOTHED_COLUMNS = {
     "smoothed": "TEXT",
     "smoothed_probability": "REAL",
     "smoothed_probabilities": "BLOB",
     "region": "INTEGER",
 }
-"""Columns of ``keyframes`` since version 3."""
+"""Columns of ``keyframes`` that were added with version 3."""
 
-CHECKED = {
+KEY_COLUMNS = {
     "sessions": "id",
     "keyframes": "id",
     "views": "keyframe_id",
@@ -80,7 +86,7 @@ CHECKED = {
     "regions": "id",
     "parameters": "key",
 }
-"""The tables whose rows have a ``crc``, and what each row is called by."""
+"""The tables, whose rows all have a ``crc``, and the column that identifies a row of each."""
 
 TABLES = f"""
 CREATE TABLE parameters (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER);
@@ -102,14 +108,14 @@ CREATE TABLE keyframes (
     frame_index INTEGER NOT NULL,
     stamp_s REAL NOT NULL,
     segment INTEGER NOT NULL,
-    {", ".join(f"odom_{name} REAL NOT NULL" for name in POSE)},
-    {", ".join(f"map_{name} REAL" for name in POSE)},
+    {", ".join(f"odom_{name} REAL NOT NULL" for name in POSE_COLUMNS)},
+    {", ".join(f"map_{name} REAL" for name in POSE_COLUMNS)},
     scene TEXT,
     scene_probability REAL,
     probabilities BLOB,
     words BLOB NOT NULL,
     weights BLOB NOT NULL,
-    {", ".join(f"{name} {kind}" for name, kind in SMOOTHED.items())},
+    {", ".join(f"{name} {kind}" for name, kind in SMOOTHED_COLUMNS.items())},
     crc INTEGER,
     UNIQUE (session, frame_index)
 );
@@ -146,7 +152,7 @@ CREATE TABLE candidates (
     rmse_m REAL,
     decision TEXT NOT NULL,
     reason TEXT NOT NULL,
-    {", ".join(f"{name} REAL" for name in POSE)},
+    {", ".join(f"{name} REAL" for name in POSE_COLUMNS)},
     information BLOB,
     loop_id INTEGER UNIQUE,
     admitted_by INTEGER REFERENCES keyframes (id),
@@ -161,14 +167,14 @@ CREATE TABLE regions (
     label TEXT NOT NULL,
     probability REAL NOT NULL,
     n_keyframes INTEGER NOT NULL,
-    {", ".join(f"{name} REAL NOT NULL" for name in BOX)},
+    {", ".join(f"{name} REAL NOT NULL" for name in BOX_COLUMNS)},
     crc INTEGER
 );
 """
 
 VIEWS = f"""
 CREATE VIEW loops AS
-    SELECT loop_id AS id, query_id, match_id, kind, source, {", ".join(POSE)}, information
+    SELECT loop_id AS id, query_id, match_id, kind, source, {", ".join(POSE_COLUMNS)}, information
     FROM candidates WHERE decision = 'accepted' AND loop_id IS NOT NULL ORDER BY loop_id;
 CREATE VIEW loop_audit AS
     SELECT query_id, match_id, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s,

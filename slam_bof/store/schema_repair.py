@@ -1,6 +1,6 @@
-"""The header and the statements that a ``map.db`` is made of, held against what they must be.
+"""Check and repair of a map's file header and schema statements.
 
-They are the same in every map, so that where a byte of them has flipped they can be put back.
+These are the same in every map, so damaged bytes in them can be restored.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from pathlib import Path
 
 from slam_bof.store.schema import APPLICATION_ID, SCHEMA, SCHEMA_VERSION
 
-__all__ = ["check_layout", "mend_layout"]
+__all__ = ["check_schema", "repair_schema"]
 
 MAGIC = b"SQLite format 3\0"
 MAX_BAD_BYTES = 2
-"""A file that differs from ``MAGIC`` in more of its bytes is no map that was damaged."""
+"""A file that differs from ``MAGIC`` in more bytes than this is not taken for a damaged map."""
 STATEMENTS = "SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY rowid"
 
 Statement = tuple[str, str, str, str | None]
 
 
-def check_layout(db: sqlite3.Connection) -> str:
-    """Return what is damaged of the statements that say how tables are read, or nothing.
+def check_schema(db: sqlite3.Connection) -> str:
+    """Return the names of damaged or missing tables, indices and views, "" if there are none.
 
-    What others have added, such as an index of their own, is left alone.
+    Additional ones, such as a user's own index, are allowed.
     """
     found = {tuple(row) for row in db.execute(STATEMENTS)}
     wrong = [
@@ -34,13 +34,13 @@ def check_layout(db: sqlite3.Connection) -> str:
     return ", ".join(wrong)
 
 
-def mend_layout(path: Path) -> None:
-    """Put the header and the statements of a damaged map back, in place.
+def repair_schema(path: Path) -> None:
+    """Restore the file header and the schema statements of a damaged map, in place.
 
     Raises
     ------
     sqlite3.DatabaseError
-        If it is no SQLite database, or there are more or fewer statements than there should be.
+        If the file is not an SQLite database, or has too many or too few schema statements.
     """
     has_wal = Path(f"{path}-wal").exists()
     with path.open("r+b") as file:
@@ -48,9 +48,9 @@ def mend_layout(path: Path) -> None:
         if len(header) < 100 or _n_different(header, MAGIC) > MAX_BAD_BYTES:
             raise sqlite3.DatabaseError("file is not a database")
         file.seek(0)
-        file.write(_mended(header, has_wal=has_wal))
+        file.write(_repaired_header(header, has_wal=has_wal))
     with closing(sqlite3.connect(path, isolation_level=None)) as db:
-        db.execute("PRAGMA writable_schema = ON")  # reads those that can be read
+        db.execute("PRAGMA writable_schema = ON")  # also reads a schema that is damaged
         rowids = [rowid for (rowid,) in db.execute("SELECT rowid FROM sqlite_schema ORDER BY 1")]
         if len(rowids) != len(_expected()):
             raise sqlite3.DatabaseError("statements are missing")
@@ -67,20 +67,20 @@ def _expected() -> tuple[Statement, ...]:
         return tuple(db.execute(STATEMENTS).fetchall())
 
 
-def _mended(header: bytearray, *, has_wal: bool) -> bytes:
-    """Return the header (100,) with what is the same in every map, and no hint of its size.
+def _repaired_header(header: bytearray, *, has_wal: bool) -> bytes:
+    """Return the header (100,) with the values of every map, and the page count unset.
 
     See https://www.sqlite.org/fileformat.html, section 1.3.
     """
     form = 2 if has_wal else 1
     header[0:24] = MAGIC + (4096).to_bytes(2, "big") + bytes([form, form, 0, 64, 32, 32])
-    header[32:40] = bytes(8)  # the free pages are only missed
+    header[32:40] = bytes(8)  # no free pages: their space is lost, but no data
     header[44:48] = (4).to_bytes(4, "big")
     header[52:60] = (1).to_bytes(8, "big")  # no auto-vacuum; UTF-8
     header[60:64] = SCHEMA_VERSION.to_bytes(4, "big")
     header[64:68] = bytes(4)
     header[68:72] = APPLICATION_ID.to_bytes(4, "big")
-    header[72:96] = bytes(24)  # not of this change: the size is that of the file
+    header[72:96] = bytes(24)  # no valid page count: SQLite takes the size of the file
     return bytes(header)
 
 

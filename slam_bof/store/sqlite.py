@@ -1,4 +1,4 @@
-"""How map.db is opened, how its rows are signed, and what errors of SQLite mean."""
+"""SQLite connections, row checksums, and SQLite's errors as ``MapError``."""
 
 from __future__ import annotations
 
@@ -6,22 +6,30 @@ import os
 import sqlite3
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from slam_bof.errors import MapError
 
-__all__ = ["connect", "naming_errors", "row_crc", "sign"]
+__all__ = [
+    "as_map_errors",
+    "columns",
+    "connect",
+    "is_intact",
+    "prepare",
+    "row_crc",
+    "update_checksums",
+]
 
 BUSY_TIMEOUT_S = 5.0
 
-
-FOUND = {
+ERROR_MESSAGES = {
     sqlite3.SQLITE_NOTADB: "found no SQLite database, expected a map.db",
     sqlite3.SQLITE_CORRUPT: "found a damaged database, expected a map.db",
     sqlite3.SQLITE_BUSY: "found it locked by another program that writes to it, "
-    "expected to be the only one; try again when that is done",
+    "expected no other writer; try again when that program is done",
     sqlite3.SQLITE_FULL: "cannot be written: the disk is full",
     sqlite3.SQLITE_READONLY: "cannot be written: the file or its folder is read-only",
     sqlite3.SQLITE_CANTOPEN: "cannot be opened: expected a folder and file that may be accessed",
@@ -31,15 +39,15 @@ FOUND = {
 
 
 def connect(path: Path, mode: str) -> sqlite3.Connection:
-    """Open the database: mode "ro" to read, "rw" to write, "rwc" to make it as well.
+    """Open a database to read ("ro"), to write ("rw"), or to create and write ("rwc").
 
-    Transactions are explicit (``BEGIN``); rows can be indexed by column name. One thread at a
-    time may use it.
+    Transactions are explicit (``BEGIN``) and rows can be indexed by column name. The connection
+    may be used by one thread at a time.
     """
     path = path.resolve()
     uri = f"{path.as_uri()}?mode={mode}"
     if mode == "ro" and not Path(f"{path}-wal").exists() and not os.access(path.parent, os.W_OK):
-        # SQLite wants to put its lock files beside; on read-only media nothing can change.
+        # SQLite cannot create lock files in a read-only folder, where nothing can change anyway.
         uri += "&immutable=1"
     db = sqlite3.connect(
         uri, timeout=BUSY_TIMEOUT_S, isolation_level=None, uri=True, check_same_thread=False
@@ -51,13 +59,13 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def prepare(db: sqlite3.Connection) -> None:
-    """Let rows be indexed by column name, and SQL compute ``row_crc``."""
+    """Make rows indexable by column name and ``row_crc`` callable from SQL."""
     db.row_factory = sqlite3.Row
     db.create_function("row_crc", -1, row_crc, deterministic=True)
 
 
 def row_crc(*values: float | str | bytes | None) -> int:
-    """Return the CRC-32 of a row's values; a number counts as the float64 that it is."""
+    """Return the CRC-32 of a row's values; numbers are encoded as float64."""
     crc = 0
     for value in values:
         if value is None:
@@ -72,32 +80,45 @@ def row_crc(*values: float | str | bytes | None) -> int:
     return crc
 
 
-def sign(db: sqlite3.Connection, table: str, where: str = "TRUE", *values: object) -> None:
-    """Bring the ``crc`` of rows up to date."""
+def is_intact(values: Sequence[Any]) -> bool:
+    """Return whether a row's last value, its ``crc``, is the checksum of the values before it."""
+    *content, crc = values
+    return bool(row_crc(*content) == crc)
+
+
+def update_checksums(
+    db: sqlite3.Connection, table: str, where: str = "TRUE", *values: object
+) -> None:
+    """Recompute the ``crc`` of the rows that meet a condition."""
     db.execute(
         f"UPDATE {table} SET crc = row_crc({', '.join(columns(db, table))}) WHERE {where}", values
     )
 
 
 def columns(db: sqlite3.Connection, table: str) -> list[str]:
-    """Return the names of a table's columns but for ``crc``."""
+    """Return the names of a table's columns, except ``crc``."""
     rows = db.execute(f"PRAGMA table_info({table})").fetchall()
     return [row["name"] for row in rows if row["name"] != "crc"]
 
 
 @contextmanager
-def naming_errors(path: Path, *, otherwise: int | None = None) -> Iterator[None]:
-    """Turn what SQLite reports of a file into one line; leave what is a bug alone.
+def as_map_errors(path: Path, *, otherwise: int | None = None) -> Iterator[None]:
+    """Raise SQLite's errors about a file as ``MapError``; programming errors pass unchanged.
 
-    ``otherwise`` is SQLite's code of what it comes to where SQLite has no more than words: a file
-    may be so damaged that its tables are other ones.
+    Parameters
+    ----------
+    path
+        The map, named in the message.
+    otherwise
+        SQLite's error code to report where its error has no known code: a damaged file may look
+        like a valid one with other tables.
 
     Raises
     ------
     MapError
-        If the file is no database, damaged, locked, read-only, or the disk is full.
+        If the file is not a database, is damaged, locked or read-only, or the disk is full.
     ValueError
-        If a row breaks a constraint: a keyframe twice, or one that is not there.
+        If a row breaks a constraint, such as a second keyframe of the same id.
     """
     try:
         yield
@@ -105,11 +126,11 @@ def naming_errors(path: Path, *, otherwise: int | None = None) -> Iterator[None]
         raise ValueError(f"{path}: the row does not fit the map: {error}") from error
     except (sqlite3.OperationalError, sqlite3.DatabaseError) as error:
         # The low byte is the primary code of SQLite's extended error codes.
-        found = FOUND.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)
+        found = ERROR_MESSAGES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)
         if found is None and "Could not decode" in str(error):
-            found = FOUND[sqlite3.SQLITE_CORRUPT]  # a flipped byte in a text
+            found = ERROR_MESSAGES[sqlite3.SQLITE_CORRUPT]  # damaged text
         if found is None and otherwise is not None:
-            found = FOUND[otherwise]
+            found = ERROR_MESSAGES[otherwise]
         if found is None:
             raise
         raise MapError(f"{path}: {found}") from error

@@ -1,4 +1,4 @@
-"""Playing a sequence as it would come if things went wrong: cut, shuffled, dark, drifting."""
+"""Disturbed playback of a sequence: cut, shuffled, darkened, or with drifting odometry."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def darkened(play: Play, *, n_times: int = 2, lasting_s: float = 1.0) -> Play:
 def drifted(
     poses: Array, *, scale: float = 0.02, rad_per_m: float = np.radians(1.0), axis: Array
 ) -> Array:
-    """Make of true poses what an odometry with a steady bias would say.
+    """Return the poses of an odometry with a constant bias, given the true poses.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def drifted(
     rad_per_m
         The angle by which the camera seems to turn for each metre that it moves.
     axis
-        (3,) in the world frame, what it seems to turn about.
+        (3,) axis of the rotational bias, in the world frame.
 
     Returns
     -------

@@ -13,7 +13,7 @@ __all__ = ["Furnisher", "distance_to_boxes"]
 
 _TRIES = 40
 _EYE_LEVEL_M = 1.9
-"""What hangs above this is in nobody's way."""
+"""Pieces that hang above this height obstruct nobody."""
 
 
 def distance_to_boxes(points: Array, boxes: Array) -> Array:

@@ -1,16 +1,14 @@
-"""Views of random rooms as data sets, made in memory as they are asked for."""
+"""Views of random rooms as data sets, rendered in memory when they are read."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from pathlib import Path
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.errors import DatasetError
 from slam_bof.synthetic.rooms import ROOM_KINDS
 from slam_bof.synthetic.scene import KINECT
 from slam_bof.synthetic.views import shaded_views
@@ -22,9 +20,9 @@ Rendered = tuple[tuple[DepthFrame, NDArray[np.uint8]], ...]
 
 
 class RoomViews:
-    """Some views of one random room, with the shading of its surfaces as grey image.
+    """Views of one random room, with the shading of its surfaces as grey image.
 
-    The room is made when the first of them is asked for, and forgotten when another room's are.
+    The room is rendered when the first view is read, and dropped when another room is rendered.
     """
 
     name: ClassVar[str] = "synthetic rooms"
@@ -33,16 +31,6 @@ class RoomViews:
     def __init__(self, kind: str, seed: int, n_views: int) -> None:
         self.sequence = f"{kind}-{seed}"
         self._room = kind, seed, n_views
-
-    @classmethod
-    def recognises(cls, path: Path) -> bool:
-        """Tell that no folder is one."""
-        return False
-
-    @classmethod
-    def open(cls, path: Path) -> Self:
-        """Refuse: there are no files."""
-        raise DatasetError(f"{path}: found a path, expected none: these rooms are not on disk")
 
     def __len__(self) -> int:
         """Return the number of views."""

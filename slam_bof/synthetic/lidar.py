@@ -13,13 +13,22 @@ __all__ = ["Lidar", "LidarParams"]
 
 
 class LidarParams(Params):
-    """A sensor of 64 rings over 90 degrees, unless told otherwise."""
+    """Parameters of the sensor, by default 64 rings over 90 degrees."""
 
-    n_rings: int = Field(64, gt=1)
-    n_columns: int = Field(1024, gt=1, description="in a turn")
-    half_angle_deg: float = Field(45.0, gt=0, lt=90, description="of the rings, up and down")
-    noise_m: float = Field(0.01, ge=0, description="standard deviation along the ray")
-    max_range_m: float = Field(20.0, gt=0)
+    n_rings: int = Field(64, gt=1, description="Number of rings.")
+    n_columns: int = Field(1024, gt=1, description="Number of points of a ring.")
+    half_angle_deg: float = Field(
+        45.0,
+        gt=0,
+        lt=90,
+        description="Elevation of the highest ring, and depression of the lowest, in degrees.",
+    )
+    noise_m: float = Field(
+        0.01, ge=0, description="Standard deviation of the noise along the ray, in metres."
+    )
+    max_range_m: float = Field(
+        20.0, gt=0, description="Points farther than this many metres are not returned."
+    )
 
 
 class Lidar:

@@ -17,7 +17,7 @@ __all__ = ["SensorParams", "sense"]
 
 
 class SensorParams(Params):
-    """The depth camera: a Kinect's as 7-Scenes has it.
+    """Parameters of the depth camera, by default the Kinect of 7-Scenes.
 
     ``focal_px`` times ``baseline_m`` over z is the disparity, measured in steps of
     ``disparity_step_px``. A reading's standard deviation, steps included, is
@@ -58,7 +58,7 @@ def sense(
     depth_m
         (H, W) true z in metres, 0 where there is nothing.
     returned
-        (H, W) share of the light that comes back, as ``View.returned`` has it.
+        (H, W) share of the light that comes back, as in ``View.returned``.
     rng
         Makes the noise.
     params

@@ -19,7 +19,7 @@ __all__ = ["FRAME_RATE_HZ", "TURN_RATE", "Waypoint", "camera_poses", "spin", "wa
 
 FRAME_RATE_HZ = 30.0
 TURN_RATE = float(np.deg2rad(63.0))
-"""How fast one who films turns, rad/s."""
+"""Rate at which a person who films turns, in rad/s."""
 
 
 @dataclass(frozen=True, slots=True)

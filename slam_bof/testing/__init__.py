@@ -1,11 +1,11 @@
-"""What every plug-in is held to: run these in the tests of your own.
+"""The contracts of all plug-ins, as checks to run in the tests of your own plug-in.
 
 >>> from slam_bof.testing import check_odometry
 >>> def test_my_odometry():
 ...     check_odometry(MyOdometry, max_error_m=0.1)
 
-Each check raises ``AssertionError`` that says in words what is not as its port
-(``slam_bof.ports``) has it. They need no data: what they show is a synthetic room.
+Each check raises ``AssertionError`` with a message that says which contract of ``slam_bof.ports``
+is broken. The checks need no data; they use a synthetic room.
 """
 
 from slam_bof.testing.backends import check_backend

@@ -11,7 +11,7 @@ import numpy as np
 from slam_bof.geometry import se3
 from slam_bof.ports import Backend
 from slam_bof.testing.scenery import expect, expect_rigid
-from slam_bof.types import Array, Bag, Keyframe, Loop
+from slam_bof.types import Array, Bag, CandidateSource, EdgeKind, Keyframe, Loop
 
 __all__ = ["check_backend"]
 
@@ -23,7 +23,7 @@ EMPTY = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
 def check_backend(make: Callable[[], Backend]) -> None:
     """Check that a back-end obeys its port.
 
-    Without loops the map is the odometry; true loops mend drift, at once and at the end; a wrong
+    Without loops the map is the odometry; true loops reduce drift, at once and at the end; a wrong
     one among many is weighed below 0.5; ``move`` carries a part; the graph is written as g2o;
     the same input gives the same bytes.
 
@@ -57,15 +57,15 @@ def _closed(backend: Backend, truth: Array, odometry: Array) -> Backend:
     drift_m = _error_m(odometry, truth)
     for k in range(0, N, 2):
         T = se3.inverse(truth[k]) @ truth[N + k]
-        backend.add_loop(Loop(N + k, k, T, 1e4 * np.eye(6), "loop", "view"))
+        backend.add_loop(Loop(N + k, k, T, 1e4 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
     backend.update()
     online_m = _error_m(backend.poses(), truth)
     expect(
         online_m < 0.7 * drift_m,
-        f"update must mend drift by true loops: {drift_m:.3f} m before, {online_m:.3f} m after",
+        f"update must reduce drift by true loops: {drift_m:.3f} m before, {online_m:.3f} m after",
     )
     wrong = se3.inverse(truth[1]) @ truth[N + 1] @ se3.pose(np.eye(3), [0.7, 0.0, 0.5])
-    backend.add_loop(Loop(N + 1, 1, wrong, 1e4 * np.eye(6), "loop", "view"))
+    backend.add_loop(Loop(N + 1, 1, wrong, 1e4 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
     backend.update()
     weights = backend.optimize()
     expect(len(weights) == N // 2 + 1, f"a weight for each loop is expected, got {len(weights)}")
@@ -74,8 +74,20 @@ def _closed(backend: Backend, truth: Array, odometry: Array) -> Backend:
         f"the wrong loop alone must weigh below 0.5, got {np.round(weights, 2).tolist()}",
     )
     after_m = _error_m(backend.poses(), truth)
-    expect(after_m < 0.7 * drift_m, f"optimize must mend drift: {drift_m:.3f} m, {after_m:.3f} m")
+    expect(after_m < 0.7 * drift_m, f"optimize must reduce drift: {drift_m:.3f} m, {after_m:.3f} m")
+    _check_goes_on(backend, odometry)
     return backend
+
+
+def _check_goes_on(backend: Backend, odometry: Array) -> None:
+    """Add a keyframe after ``optimize``: the graph goes on from its optimum."""
+    optimum = backend.poses()
+    step = se3.inverse(odometry[-2]) @ odometry[-1]
+    _add(backend, (odometry[-1] @ step)[None])
+    _expect_near(backend.poses()[:-1], optimum, 1e-2, "after optimize the map must not jump")
+    _expect_near(
+        backend.poses()[-1], optimum[-1] @ step, 1e-2, "the next keyframe must follow the optimum"
+    )
 
 
 def _check_g2o(backend: Backend) -> None:
@@ -84,7 +96,7 @@ def _check_g2o(backend: Backend) -> None:
         backend.write_g2o(file)
         tags = [line.split()[0] for line in file.read_text(encoding="utf-8").splitlines() if line]
     n_nodes = tags.count("VERTEX_SE3:QUAT")
-    expect(n_nodes == 2 * N + 1, f"g2o must have a vertex for each keyframe, got {n_nodes}")
+    expect(n_nodes == 2 * N + 2, f"g2o must have a vertex for each keyframe, got {n_nodes}")
     expect(tags.count("EDGE_SE3:QUAT") >= 2 * N, "g2o must have the edges")
 
 

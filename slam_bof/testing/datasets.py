@@ -1,4 +1,4 @@
-"""What a data set is held to."""
+"""The contract of data-set plug-ins, as a test."""
 
 from __future__ import annotations
 
@@ -9,45 +9,36 @@ from typing import Any
 import numpy as np
 
 from slam_bof.errors import DatasetError
-from slam_bof.ports import Dataset
+from slam_bof.ports import Dataset, DatasetFormat
 from slam_bof.testing.scenery import expect, expect_rigid
 from slam_bof.types import DepthFrame, Params
 
 __all__ = ["check_dataset"]
 
 
-def check_dataset(plugin: type[Any], path: Path, params: Params | None = None) -> None:
-    """Check that a data set obeys its port, by a small sequence of yours at ``path``.
+def check_dataset(plugin: Any, path: Path, params: Params | None = None) -> None:
+    """Check that a data-set plug-in keeps the contracts of ``DatasetFormat`` and ``Dataset``.
 
-    It recognises the sequence and not an empty folder, of which ``open`` raises ``DatasetError``
-    in one line; stamps grow; a frame read twice is the same; images and truths fit the frames.
+    The format must recognise a small sequence of yours at ``path``, but not an empty folder, which
+    ``open`` must refuse by a ``DatasetError`` of one line. In the sequence, time stamps must grow,
+    a frame read twice must be the same, and images, ground truth and labels must fit the frames.
 
     Parameters
     ----------
     plugin
-        The class.
+        The plug-in: a ``slam_bof.ports.DatasetFormat``, usually a class.
     path
-        Of a sequence with at least one frame.
+        Path of a sequence with at least one frame.
     params
-        Options, for one that takes any.
+        Options, for a plug-in that takes any.
 
     Raises
     ------
     AssertionError
-        In words.
+        If the plug-in breaks a contract; the message says which.
     """
-    arguments = () if params is None else (params,)
-    expect(bool(plugin.recognises(path)), f"recognises({path}) must be true")
-    with tempfile.TemporaryDirectory() as empty:
-        expect(not plugin.recognises(Path(empty)), "an empty folder must not be recognised")
-        try:
-            plugin.open(Path(empty), *arguments)
-        except DatasetError as error:
-            expect("\n" not in str(error), "a DatasetError must be one line")
-            expect(empty in str(error), "a DatasetError must name the folder or file")
-        else:
-            expect(False, "open of an empty folder must raise DatasetError")
-    dataset = plugin.open(path, *arguments)
+    _check_format(plugin, path, params)
+    dataset = plugin.open(path) if params is None else plugin.open(path, params)
     expect(isinstance(dataset, Dataset), "it must have all that slam_bof.ports.Dataset has")
     expect(bool(dataset.sequence), "sequence must say which one it is")
     expect(len(dataset) > 0, "there must be frames")
@@ -55,6 +46,23 @@ def check_dataset(plugin: type[Any], path: Path, params: Params | None = None) -
     stamps_s = np.array([frame.stamp_s for frame in frames])
     expect(bool((np.diff(stamps_s) > 0).all()), "stamps must grow from frame to frame")
     _check_truths(dataset)
+
+
+def _check_format(plugin: Any, path: Path, params: Params | None) -> None:
+    expect(
+        isinstance(plugin, DatasetFormat), "it must have all that slam_bof.ports.DatasetFormat has"
+    )
+    expect(bool(plugin.recognises(path)), f"recognises({path}) must be true")
+    with tempfile.TemporaryDirectory() as empty:
+        expect(not plugin.recognises(Path(empty)), "an empty folder must not be recognised")
+        arguments = () if params is None else (params,)
+        try:
+            plugin.open(Path(empty), *arguments)
+        except DatasetError as error:
+            expect("\n" not in str(error), "a DatasetError must be one line")
+            expect(empty in str(error), "a DatasetError must name the folder or file")
+        else:
+            expect(False, "open of an empty folder must raise DatasetError")
 
 
 def _check_frame(dataset: Dataset, index: int) -> DepthFrame:

@@ -34,7 +34,7 @@ def check_verifier(
     make
         Makes a new one: its class, if it needs no arguments.
     max_error_m, max_error_deg
-        Of the pose, 0.26 m and 12 degrees from the match's.
+        Largest error of the pose, which is 0.26 m and 12 degrees from the match's.
 
     Raises
     ------

@@ -16,14 +16,38 @@ __all__ = ["KeyframeParams", "KeyframeSelector"]
 class KeyframeParams(Params):
     """Policy ``motion`` keeps a frame that moved enough; ``every`` the paper's k-th frame."""
 
-    policy: Literal["motion", "every"] = "motion"
-    distance_m: float = Field(0.12, gt=0, description="motion: a frame this far from the last")
-    angle_rad: float = Field(0.2, gt=0, description="motion: or turned this much")
-    max_gap: int = Field(
-        10, gt=0, description="motion: at most so many frames from one to the next"
+    policy: Literal["motion", "every"] = Field(
+        "motion",
+        description="How keyframes are chosen: by motion, or every k-th frame as in the paper.",
     )
-    min_seen: float = Field(0.4, le=1, description="motion: or that sees less of the same")
-    every: int = Field(10, gt=0, description="every: each k-th frame")
+    distance_m: float = Field(
+        0.12,
+        gt=0,
+        description="With motion: distance from the last keyframe at which a frame becomes one, in "
+        "m.",
+    )
+    angle_rad: float = Field(
+        0.2,
+        gt=0,
+        description="With motion: angle from the last keyframe at which a frame becomes one, in "
+        "rad.",
+    )
+    max_gap: int = Field(
+        10,
+        gt=0,
+        description="With motion: largest number of frames from one keyframe to the next.",
+    )
+    min_inlier_ratio: float = Field(
+        0.4,
+        le=1,
+        description="With motion: a frame that sees a smaller share of the last keyframe than this "
+        "becomes one.",
+    )
+    every: int = Field(
+        10,
+        gt=0,
+        description="With every: number of frames from one keyframe to the next.",
+    )
 
 
 class KeyframeSelector:
@@ -34,13 +58,17 @@ class KeyframeSelector:
         self._frame_index = -1
         self._T_odom_camera: Pose | None = None
 
-    def select(self, frame_index: int, T_odom_camera: Pose, *, seen: float = float("nan")) -> bool:
+    def select(
+        self, frame_index: int, T_odom_camera: Pose, *, inlier_ratio: float = float("nan")
+    ) -> bool:
         """Decide for one frame, and remember it if the answer is yes.
 
-        ``seen`` is the share of its points that the last one chosen sees too, NaN if that is not
-        known.
+        ``inlier_ratio`` is the share of its points that the last keyframe sees too, NaN where it
+        was not measured.
         """
-        chosen = self._T_odom_camera is None or self._is_due(frame_index, T_odom_camera, seen)
+        chosen = self._T_odom_camera is None or self._is_due(
+            frame_index, T_odom_camera, inlier_ratio
+        )
         if chosen:
             self._frame_index, self._T_odom_camera = frame_index, T_odom_camera
         return chosen
@@ -53,7 +81,7 @@ class KeyframeSelector:
         """Forget everything: the next frame is a first one."""
         self._T_odom_camera = None
 
-    def _is_due(self, frame_index: int, T_odom_camera: Pose, seen: float) -> bool:
+    def _is_due(self, frame_index: int, T_odom_camera: Pose, inlier_ratio: float) -> bool:
         p = self.params
         gap = frame_index - self._frame_index
         if p.policy == "every":
@@ -62,7 +90,7 @@ class KeyframeSelector:
         motion = se3.inverse(self._T_odom_camera) @ T_odom_camera
         return (
             gap >= p.max_gap
-            or seen < p.min_seen
+            or inlier_ratio < p.min_inlier_ratio
             or float(np.linalg.norm(motion[:3, 3])) >= p.distance_m
             or float(se3.rotation_angle(motion)) >= p.angle_rad
         )

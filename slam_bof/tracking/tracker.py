@@ -22,9 +22,9 @@ from pydantic import Field
 
 from slam_bof.geometry import (
     AlignmentParams,
+    DepthView,
     Observability,
     PosePrior,
-    View,
     ViewAligner,
     make_view,
     observe,
@@ -42,7 +42,7 @@ KEYFRAME, FRAME, BEFORE = 0, 1, 2
 MARGIN = 0.1
 """By so much must a pose by odometry agree better to be taken instead of the aligned one, which
 is more exact than agreement can tell."""
-REFERENCE_RANGE = 0.5, 0.85
+REFERENCE_RATIO_RANGE = 0.5, 0.85
 """The first frame after the first keyframe sets the reference inlier ratio, between these ..."""
 PRIOR_FLOOR = np.diag(np.square(np.repeat([0.002, 0.005], 3)))
 """Of where a frame should be, beyond what odometry errs by."""
@@ -62,30 +62,63 @@ class TrackingParams(Params):
     running mean, the reference.
     """
 
-    enabled: bool = Field(True, description="without, odometry is trusted as it is")
+    enabled: bool = Field(
+        True,
+        description="Whether frames are tracked; without, odometry is taken as it is.",
+    )
     alignment: AlignmentParams = AlignmentParams(
         n_points=1000, n_iterations=8, gates_m=(0.15, 0.03)
     )
     max_inlier_drop: float = Field(
-        0.2, ge=0, le=1, description="below the reference, of a frame that is tracked"
+        0.2,
+        ge=0,
+        le=1,
+        description="Largest drop of the inlier ratio below its running mean at which a frame "
+        "still counts as tracked.",
     )
     max_inlier_drop_relocalised: float = Field(
-        0.1, ge=0, le=1, description="of one that had to be searched for"
+        0.1,
+        ge=0,
+        le=1,
+        description="The same for a frame whose pose had to be searched for.",
     )
-    min_visible_ratio: float = Field(0.2, ge=0, le=1, description="share of points compared")
-    min_visible_ratio_relocalised: float = Field(0.4, ge=0, le=1)
+    min_visible_ratio: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Smallest share of points that fall where the other view has a depth.",
+    )
+    min_visible_ratio_relocalised: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="The same for a frame whose pose had to be searched for.",
+    )
     max_free_space_violation: float = Field(
-        0.1, ge=0, le=1, description="share of compared points before what the other view sees, "
-        "beyond the usual; more, and no better pose nearby, and the track is lost",
-    )  # fmt: skip
+        0.1,
+        ge=0,
+        le=1,
+        description="Largest share of compared points in front of what the other view sees, above "
+        "its running mean; with more, and no better pose nearby, the track is lost.",
+    )
     max_score_drop: float = Field(
-        0.03, ge=0, description="of the agreement score below its mean; more, and others are tried"
+        0.03,
+        ge=0,
+        description="Largest drop of the agreement score below its running mean before other "
+        "poses are searched for.",
     )
     max_weak_sigma_m: float = Field(
-        0.03, ge=0, description="of odometry along directions that the surfaces hold weakly; more, "
-        "and others are tried",
-    )  # fmt: skip
-    min_pixels: float = Field(0.05, ge=0, le=1, description="share of pixels with a depth")
+        0.03,
+        ge=0,
+        description="Largest standard deviation of odometry along weakly held directions before "
+        "other poses are searched for, in m.",
+    )
+    min_valid_pixel_ratio: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Smallest share of pixels with a depth.",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +128,7 @@ class Track:
     ``T_odom_camera`` (4, 4) is the odometry's pose, corrected by all that was registered so far;
     while ``is_lost`` it follows the odometry's motion, for want of better. ``segment`` counts how
     often the track started anew: what the poses of two segments say of each other is a guess.
-    ``seen`` is the share of points that the last keyframe sees too, NaN where not measured.
+    ``inlier_ratio`` is the share of points that the last keyframe sees too, NaN where not measured.
     ``covariance`` (6, 6) is of the pose since the last keyframe, rotation first, in rad and m;
     ``open_axes`` (6, k) are directions in the camera's frame, a turn in rad, then metres, that the
     surfaces in sight leave open.
@@ -104,14 +137,14 @@ class Track:
     T_odom_camera: Pose
     is_lost: bool
     segment: int
-    seen: float
+    inlier_ratio: float
     covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
     open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
     step_covariance: Array | None = None
     """The same, None where odometry is not tracked and nothing is known of its errors."""
 
 
-class _Fit(NamedTuple):
+class _Registration(NamedTuple):
     """A pose of the frame, and how far it agrees with a view."""
 
     T_odom_frame: Pose
@@ -125,8 +158,8 @@ class _Fit(NamedTuple):
 class _Found(NamedTuple):
     """Where a frame is, what the keyframe sees of it, and whether it follows the one before."""
 
-    fit: _Fit
-    seen: float
+    fit: _Registration
+    inlier_ratio: float
     is_followed: bool
 
 
@@ -142,10 +175,10 @@ class Tracker:
         self._seed = seed
         self._segment = segment
         self._is_lost = False
-        self._reference = float("nan")
+        self._reference_inlier_ratio = float("nan")
         self._reference_score = float("nan")
         self._reference_violation = 0.0
-        self._view: View | None = None
+        self._view: DepthView | None = None
         self._fusion = OdometryFusion()
         self._T_last = self._T_before = self._T_known = self._T_keyframe = np.eye(4)
 
@@ -165,9 +198,9 @@ class Tracker:
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
-        T, seen, open_axes = T_guess, float("nan"), np.empty((6, 0))
+        T, inlier_ratio, open_axes = T_guess, float("nan"), np.empty((6, 0))
         if found is not None:
-            T, seen = found.fit.T_odom_frame, found.seen
+            T, inlier_ratio = found.fit.T_odom_frame, found.inlier_ratio
             held = found.fit.held
             if held is not None:
                 open_axes = held.open_axes_camera
@@ -182,7 +215,7 @@ class Tracker:
             self._T_known = T
         self._T_before, self._T_last, self._is_lost = self._T_last, T, is_lost
         covariance = self._fusion.covariance
-        return Track(T, is_lost, self._segment, seen, covariance, open_axes, covariance)
+        return Track(T, is_lost, self._segment, inlier_ratio, covariance, open_axes, covariance)
 
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are registered to."""
@@ -196,7 +229,8 @@ class Tracker:
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
         reference, score = (
-            None if np.isnan(x) else x for x in (self._reference, self._reference_score)
+            None if np.isnan(x) else x
+            for x in (self._reference_inlier_ratio, self._reference_score)
         )
         return {
             "n_lost": self.n_lost,
@@ -210,7 +244,7 @@ class Tracker:
     def restore(self, state: dict[str, Any], frame: DepthFrame, track: Track) -> None:
         """Go on from a keyframe: its frame, and where it was found to be."""
         self.n_lost = state["n_lost"]
-        self._reference, self._reference_score = (
+        self._reference_inlier_ratio, self._reference_score = (
             float("nan") if x is None else x
             for x in (state["reference_inlier_ratio"], state["reference_score"])
         )
@@ -224,36 +258,40 @@ class Tracker:
             self.keep()
         self._fusion.restore(state["fusion"])
 
-    def _look(self, frame: DepthFrame) -> View | None:
+    def _look(self, frame: DepthFrame) -> DepthView | None:
         """Return the frame's view if it shows enough."""
         view = make_view(frame)
-        n_known = np.count_nonzero(view.depth_m)
-        return view if n_known >= self.params.min_pixels * view.depth_m.size else None
+        n_visible = np.count_nonzero(view.depth_m)
+        return view if n_visible >= self.params.min_valid_pixel_ratio * view.depth_m.size else None
 
-    def _find(self, before: View | None, T_guess: Pose) -> _Found | None:
+    def _find(self, before: DepthView | None, T_guess: Pose) -> _Found | None:
         """Return where the frame is; nothing if it is lost."""
         if self._view is None:
             return None
         if len(self._aligner) == 0:
-            return _Found(_Fit(T_guess, 1.0, 1.0, 0.0), 1.0, False)
+            return _Found(_Registration(T_guess, 1.0, 1.0, 0.0), 1.0, False)
         self._aligner.truncate(FRAME)
         self._aligner.add(self._view)
         tracked = self._register(KEYFRAME, self._T_keyframe, T_guess)
-        seen = tracked.inlier_ratio * tracked.visible_ratio
-        if np.isnan(self._reference):
-            self._reference = float(np.clip(tracked.inlier_ratio, *REFERENCE_RANGE))
+        inlier_ratio = tracked.inlier_ratio * tracked.visible_ratio
+        if np.isnan(self._reference_inlier_ratio):
+            self._reference_inlier_ratio = float(
+                np.clip(tracked.inlier_ratio, *REFERENCE_RATIO_RANGE)
+            )
             self._reference_violation = min(tracked.free_space_violation, MAX_REFERENCE_VIOLATION)
         if not self._is_lost and self._is_tracked(tracked):
-            self._reference += FORGETTING * (tracked.inlier_ratio - self._reference)
+            self._reference_inlier_ratio += FORGETTING * (
+                tracked.inlier_ratio - self._reference_inlier_ratio
+            )
             violation = tracked.free_space_violation
             self._reference_violation += FORGETTING * (violation - self._reference_violation)
-            return _Found(tracked, seen, True)
+            return _Found(tracked, inlier_ratio, True)
         from_before = None
         if before is not None:
             self._aligner.add(before)
             from_before = self._register(BEFORE, self._T_last, T_guess)
             if not self._is_lost and self._is_tracked(from_before):
-                return _Found(from_before, seen, False)
+                return _Found(from_before, inlier_ratio, False)
         searched = self._search(T_guess)
         if self._is_relocalised(searched):
             return _Found(searched, searched.inlier_ratio * searched.visible_ratio, False)
@@ -261,24 +299,25 @@ class Tracker:
             self._segment += 1
             return _Found(from_before, 0.0, False)
         if not self._is_lost and not self._is_contradicted(T_guess, before):
-            return _Found(_Fit(T_guess, np.nan, np.nan, np.nan), float("nan"), True)
+            return _Found(_Registration(T_guess, np.nan, np.nan, np.nan), float("nan"), True)
         return None
 
-    def _is_tracked(self, fit: _Fit) -> bool:
+    def _is_tracked(self, fit: _Registration) -> bool:
         p = self.params
         drop = p.max_inlier_drop_relocalised if fit.is_searched else p.max_inlier_drop
         return (
-            fit.visible_ratio >= p.min_visible_ratio and fit.inlier_ratio >= self._reference - drop
+            fit.visible_ratio >= p.min_visible_ratio
+            and fit.inlier_ratio >= self._reference_inlier_ratio - drop
         )
 
-    def _is_relocalised(self, fit: _Fit) -> bool:
+    def _is_relocalised(self, fit: _Registration) -> bool:
         p = self.params
         return (
             fit.visible_ratio >= p.min_visible_ratio_relocalised
-            and fit.inlier_ratio >= self._reference - p.max_inlier_drop_relocalised
+            and fit.inlier_ratio >= self._reference_inlier_ratio - p.max_inlier_drop_relocalised
         )
 
-    def _is_contradicted(self, T_guess: Pose, before: View | None) -> bool:
+    def _is_contradicted(self, T_guess: Pose, before: DepthView | None) -> bool:
         """Tell whether either view that the frame can be compared with contradicts odometry.
 
         So does a leap out of what both see, which no camera makes from one frame to the next.
@@ -287,7 +326,7 @@ class Tracker:
         views = [(KEYFRAME, self._T_keyframe)]
         if before is not None:
             views.append((BEFORE, self._T_last))
-        fits = [self._fit(k, T, se3.inverse(T) @ T_guess) for k, T in views]
+        fits = [self._evaluate(k, T, se3.inverse(T) @ T_guess) for k, T in views]
         if any(fit.free_space_violation > limit for fit in fits):
             return True
         step = se3.inverse(self._T_last) @ T_guess
@@ -296,14 +335,14 @@ class Tracker:
             bool(leaps) and max(fit.visible_ratio for fit in fits) < self.params.min_visible_ratio
         )
 
-    def _register(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Fit:
+    def _register(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Registration:
         """Align the frame with a view from where odometry has it, or from elsewhere if in doubt."""
         p = self.params
         T_view_guess = se3.inverse(T_odom_view) @ T_guess
         T = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
-        fit = self._fit(view_id, T_odom_view, T)
+        fit = self._evaluate(view_id, T_odom_view, T)
         if fit.inlier_ratio <= 1.0 - MARGIN:
-            guessed = self._fit(view_id, T_odom_view, T_view_guess)
+            guessed = self._evaluate(view_id, T_odom_view, T_view_guess)
             if guessed.inlier_ratio > fit.inlier_ratio + MARGIN:
                 fit, T = guessed, T_view_guess
         held = observe(self._aligner, FRAME, view_id, T)
@@ -324,7 +363,7 @@ class Tracker:
             )  # fmt: skip
             if T_best is not T:
                 T = T_best
-                fit = self._fit(view_id, T_odom_view, T)._replace(is_searched=True)
+                fit = self._evaluate(view_id, T_odom_view, T)._replace(is_searched=True)
                 held = observe(self._aligner, FRAME, view_id, T) or held
         if view_id == KEYFRAME:
             mean = self._reference_score
@@ -333,17 +372,20 @@ class Tracker:
             )
         return fit._replace(held=held)
 
-    def _search(self, T_guess: Pose) -> _Fit:
+    def _search(self, T_guess: Pose) -> _Registration:
         """Align it with the keyframe from poses about the guess, and about the last one known."""
         starts = se3.inverse(self._T_keyframe) @ np.stack([T_guess, self._T_known])
         (T_keyframe_frame,) = self._aligner.align(FRAME, np.array([KEYFRAME]), starts[None])
-        return self._fit(KEYFRAME, self._T_keyframe, T_keyframe_frame)
+        return self._evaluate(KEYFRAME, self._T_keyframe, T_keyframe_frame)
 
-    def _fit(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> _Fit:
+    def _evaluate(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> _Registration:
         """Measure how far the frame agrees with a view at a pose."""
         found = self._aligner.agreement(FRAME, np.array([view_id]), T_view_frame[None])
-        visible_ratio = float(found.compared[0])
+        visible_ratio = float(found.visible_ratio[0])
         inlier_ratio, violation = (
-            float(x[0]) / max(visible_ratio, 1e-9) for x in (found.seen, found.blocking)
+            float(x[0]) / max(visible_ratio, 1e-9)
+            for x in (found.inlier_ratio, found.free_space_violation)
         )
-        return _Fit(T_odom_view @ T_view_frame, inlier_ratio, visible_ratio, 0.5 * violation)
+        return _Registration(
+            T_odom_view @ T_view_frame, inlier_ratio, visible_ratio, 0.5 * violation
+        )

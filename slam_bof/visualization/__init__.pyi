@@ -6,9 +6,9 @@ from .matrix_images import (
     write_png as write_png,
 )
 from .misses_page import (
-    Missed as Missed,
-    find_misses as find_misses,
-    write_misses as write_misses,
+    MissedQueries as MissedQueries,
+    find_missed_queries as find_missed_queries,
+    write_missed_queries as write_missed_queries,
 )
 from .run_report import (
     ReportData as ReportData,

@@ -1,4 +1,4 @@
-"""The figures of a run's report, as plotly draws them."""
+"""The figures of a run's report, drawn by plotly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slam_bof.types import Array, Candidate, Scene
 __all__ = [
     "COLORS",
     "PALETTE",
-    "clean",
+    "apply_style",
     "draw_candidates",
     "draw_errors",
     "draw_labels",
@@ -91,7 +91,7 @@ def draw_top_view(
 
 
 def draw_trajectories(paths: Mapping[str, Array], links: Mapping[str, Array]) -> Figure:
-    """Draw the same in space, in the same colours; parameters as for ``draw_top_view``."""
+    """Draw paths in 3D; parameters and colours are those of ``draw_top_view``."""
     figure = _figure("", "")
     for name, points in paths.items():
         x, y, z = points.T
@@ -107,7 +107,7 @@ def draw_trajectories(paths: Mapping[str, Array], links: Mapping[str, Array]) ->
         "showspikes": False,
         "nticks": 6,
     }
-    # Equal scales on all axes, and the longest one fits into the view.
+    # All axes have the same scale, and the longest fits into the view.
     low, high = _bounds(paths.values())
     x, y, z = ((high - low) / (high - low).max()).tolist()
     ranges = np.stack([low, high], axis=1).tolist()
@@ -136,12 +136,12 @@ def draw_errors(times_s: Array, errors_m: Mapping[str, Array]) -> Figure:
 
 
 def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
-    """Draw what place recognition and geometry said of each pair.
+    """Draw score and overlap of each candidate.
 
     ``times_s[i]`` is the time of ``candidates[i].query_id``.
     """
     figure = make_subplots(rows=2, cols=1, shared_xaxes=True, vertical_spacing=0.08)
-    clean(figure)
+    apply_style(figure)
     decisions = {
         "rejected": {"color": COLORS["muted"], "size": 5},
         "accepted": {"color": COLORS["good"], "size": 7},
@@ -150,12 +150,12 @@ def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
         chosen = [
             (c, t) for c, t in zip(candidates, times_s, strict=True) if c.decision == decision
         ]
-        likeness = [c.score if np.isnan(c.eta) else c.eta for c, _ in chosen]
+        scores = [c.score if np.isnan(c.eta) else c.eta for c, _ in chosen]
         overlap = [c.overlap for c, _ in chosen]
-        for row, values in enumerate((likeness, overlap), start=1):
+        for row, values in enumerate((scores, overlap), start=1):
             figure.add_scatter(
                 x=[t for _, t in chosen],
-                # JSON has no infinity, and plotly leaves a None out.
+                # JSON has no infinity; plotly does not draw None.
                 y=[float(v) if np.isfinite(v) else None for v in values],
                 text=[_describe(c) for c, _ in chosen],
                 mode="markers",
@@ -168,7 +168,7 @@ def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
                 col=1,
             )
     figure.update_xaxes(title_text="time of the query keyframe (s)", row=2, col=1)
-    figure.update_yaxes(title_text="score; of bags, η", rangemode="tozero", row=1, col=1)
+    figure.update_yaxes(title_text="score (η for bags)", rangemode="tozero", row=1, col=1)
     figure.update_yaxes(title_text="overlap of the clouds", rangemode="tozero", row=2, col=1)
     return figure.update_layout(height=520)
 
@@ -176,7 +176,7 @@ def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
 def draw_labels(
     times_s: Array, scenes: Sequence[Scene | None], true_labels: Sequence[str | None] | None
 ) -> Figure:
-    """Draw the predicted label of each keyframe, and the true ones where they are known."""
+    """Draw the predicted label of each keyframe, and the true label where it is known."""
     figure = _figure("time (s)", "")
     true = list(true_labels) if true_labels is not None else [None] * len(scenes)
     known = [(t, label) for t, label in zip(times_s, true, strict=True) if label is not None]
@@ -190,14 +190,14 @@ def draw_labels(
             hovertemplate="true: %{y}<extra></extra>",
         )
     groups: dict[str, tuple[str, list[tuple[float, Scene]]]] = {
-        "predicted, right": (COLORS["good"], []),
+        "predicted, correct": (COLORS["good"], []),
         "predicted, wrong": (COLORS["bad"], []),
         "predicted": (COLORS["optimized"], []),
     }
     for t, scene, label in zip(times_s, scenes, true, strict=True):
         if scene is not None:
-            right = "right" if scene.label == label else "wrong"
-            name = "predicted" if label is None else f"predicted, {right}"
+            verdict = "correct" if scene.label == label else "wrong"
+            name = "predicted" if label is None else f"predicted, {verdict}"
             groups[name][1].append((float(t), scene))
     for name, (color, points) in groups.items():
         if points:
@@ -221,7 +221,7 @@ def draw_labels(
 
 
 def draw_stages(stage_ms: Mapping[str, float]) -> Figure:
-    """Draw the mean time of each stage, in milliseconds a frame."""
+    """Draw the mean time of each stage, in milliseconds per frame."""
     figure = _figure("wall time per frame (ms)", "")
     figure.add_bar(
         x=list(stage_ms.values()),
@@ -238,7 +238,11 @@ def draw_stages(stage_ms: Mapping[str, float]) -> Figure:
 
 
 def draw_precision_recall(curves: Mapping[str, Mapping[str, Array]]) -> Figure:
-    """Draw precision over recall (N, 2), by truth side by side, and by what is judged."""
+    """Draw precision over recall.
+
+    ``curves`` has (N, 2) recall and precision by kind of ground truth, side by side, and then by
+    name of the method.
+    """
     figure = make_subplots(
         1, len(curves), subplot_titles=[f"truth by {kind}" for kind in curves], shared_yaxes=True
     )
@@ -257,18 +261,18 @@ def draw_precision_recall(curves: Mapping[str, Mapping[str, Array]]) -> Figure:
             )
     figure.update_xaxes(title="recall", range=[0, 1])
     figure.update_yaxes(title="precision", range=[0, 1.03])
-    return clean(figure)
+    return apply_style(figure)
 
 
 def _figure(x_title: str, y_title: str) -> Figure:
-    figure = clean(go.Figure())
+    figure = apply_style(go.Figure())
     return figure.update_layout(
         xaxis_title={"text": x_title}, yaxis_title={"text": y_title}, height=HEIGHT_PX
     )
 
 
-def clean(figure: Figure) -> Figure:
-    """Give a figure the look of all others."""
+def apply_style(figure: Figure) -> Figure:
+    """Apply the common style to a figure."""
     axis: dict[str, Any] = {"gridcolor": COLORS["grid"], "zeroline": False}
     axis |= {"linecolor": COLORS["muted"]}
     axis["title"] = {"font": {"size": 13}}
@@ -286,7 +290,7 @@ def clean(figure: Figure) -> Figure:
 
 
 def _bounds(paths: Iterable[Array]) -> tuple[Array, Array]:
-    """Return the corners (3,) of a box around the points (N, 3), with room on every side."""
+    """Return the corners (3,) of a box around the points (N, 3), with a margin on every side."""
     points = np.concatenate(list(paths))
     points = points[np.isfinite(points).all(axis=1)]
     if len(points) == 0:
@@ -323,7 +327,7 @@ def _link_style(name: str, n: int) -> dict[str, Any]:
 
 
 def _segments(ends: Array) -> tuple[list[Any], list[Any], list[Any]]:
-    """Return x, y, z of (L, 2, 3) segments, with a gap after each."""
+    """Return x, y and z of (L, 2, 3) line segments, with None after each."""
     axes: tuple[list[Any], list[Any], list[Any]] = ([], [], [])
     for a, b in ends.tolist():
         for axis, start, end in zip(axes, a, b, strict=True):

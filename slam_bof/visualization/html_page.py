@@ -1,12 +1,13 @@
-"""The HTML of a report: its frame, the headline figures, the table of metrics."""
+"""The HTML of reports: the page, its sections, headline values and tables of metrics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from html import escape
 from string import Template
+from typing import Any
 
-__all__ = ["Metrics", "cards", "fill", "section", "tables"]
+__all__ = ["Metrics", "cards", "figure_html", "render_page", "section", "tables"]
 
 Metrics = Mapping[str, str | int | float | None]
 
@@ -17,54 +18,54 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "ate_max_m": ("largest error with loops", "{:.4f} m"),
         "rpe_odometry_m": ("RPE of odometry alone, 30 frames (RMSE)", "{:.4f} m"),
         "rpe_m": ("RPE with loops, 30 frames (RMSE)", "{:.4f} m"),
-        "n_odometry_lost": ("times that odometry was lost", "{}"),
-        "n_frames_lost": ("frames lost: not known where", "{}"),
-        "n_parts": ("parts of the map that no loop joined", "{}"),
+        "n_odometry_lost": ("losses of odometry", "{}"),
+        "n_frames_lost": ("frames without a pose in the map", "{}"),
+        "n_components": ("map components, which no loop connects", "{}"),
     },
     "Loops and labels": {
         "n_candidates": ("pairs considered", "{}"),
-        "n_verified": ("of these, judged by geometry", "{}"),
+        "n_verified": ("of these, registered by geometric verification", "{}"),
         "n_keyframes_candidate": ("keyframes with a candidate (Table 10)", "{}"),
         "n_keyframes_approved": ("of these, approved: consistent in time", "{}"),
         "n_keyframes_between": ("keyframes between the thresholds", "{}"),
-        "n_keyframes_discarded": ("keyframes discarded: nothing alike enough", "{}"),
-        "n_keyframes_unjudged": ("keyframes not judged: normaliser too low", "{}"),
+        "n_keyframes_discarded": ("keyframes discarded: no score above the threshold", "{}"),
+        "n_keyframes_unjudged": ("keyframes not decided: normaliser too low", "{}"),
         "n_loops": ("loops accepted", "{}"),
         "n_loops_recognised": ("of these, found by place recognition", "{}"),
         "n_loops_rejected": ("pairs rejected", "{}"),
-        "n_edges_left_out": ("accepted edges left out at the end", "{}"),
+        "n_edges_left_out": ("accepted edges left out by the final optimisation", "{}"),
         "n_covisibility_edges": ("covisibility edges", "{}"),
         "loop_precision": ("loops within 0.10 m and 5° of ground truth", "{:.1%}"),
-        "loop_recall": ("revisiting keyframes that got a loop", "{:.1%}"),
-        "scene_accuracy": ("keyframes with the right scene label, each by itself", "{:.1%}"),
-        "scene_accuracy_smoothed": ("the same by the keyframes around as well", "{:.1%}"),
+        "loop_recall": ("revisiting keyframes with an accepted loop", "{:.1%}"),
+        "scene_accuracy": ("keyframes with the correct label of the single image", "{:.1%}"),
+        "scene_accuracy_smoothed": ("keyframes with the correct smoothed label", "{:.1%}"),
         "n_regions": ("rooms found", "{}"),
     },
     "Input and cost": {
         "n_frames": ("frames", "{}"),
         "n_frames_skipped": ("frames skipped as unreadable", "{}"),
         "n_keyframes": ("keyframes", "{}"),
-        "fps": ("frames a second, all included", "{:.1f}"),
+        "fps": ("frames per second, overall", "{:.1f}"),
         "cpu_s": ("processor time", "{:.1f} s"),
         "wall_s": ("wall time", "{:.1f} s"),
         "peak_rss_mb": ("peak memory", "{:.0f} MB"),
-        "descriptor_bytes_per_frame": ("descriptor of a keyframe", "{:.0f} bytes"),
+        "descriptor_bytes_per_frame": ("size of a keyframe's descriptor", "{:.0f} bytes"),
     },
 }
-"""By heading, what each metric is called and how it is written."""
+"""By heading: the key, name and format of each metric."""
 
 IN_HEADER = ("dataset", "sequence", "version", "seed")
-UNKNOWN = "not known"
+UNKNOWN = "unknown"
 
 
-def fill(*, title: str, subtitle: str, body: str, script: str) -> str:
+def render_page(*, title: str, subtitle: str, body: str, script: str) -> str:
     """Return the whole page; ``body`` and ``script`` are HTML and JavaScript already."""
     return PAGE.substitute(title=escape(title), subtitle=escape(subtitle), body=body, script=script)
 
 
 def section(heading: str, text: str, *figures: str) -> str:
-    """Return a section: what is to be seen, in words, and the figures (HTML)."""
-    # Columns are fixed before the first figure is drawn, since it takes the width it finds.
+    """Return a section with a heading, an explanation and figures (HTML)."""
+    # The number of columns is set before a figure is drawn, since it takes the present width.
     cells = "".join(f"<div>{figure}</div>" for figure in figures)
     return (
         f"<section><h2>{escape(heading)}</h2><p>{escape(text)}</p>"
@@ -72,15 +73,30 @@ def section(heading: str, text: str, *figures: str) -> str:
     )
 
 
+def figure_html(figure: Any, div_id: str) -> str:
+    """Return a plotly figure as HTML, for a page with plotly's script."""
+    html: str = figure.to_html(
+        full_html=False,
+        include_plotlyjs=False,
+        div_id=div_id,
+        config={"displayModeBar": False, "responsive": True},
+    )
+    return html
+
+
 def cards(metrics: Metrics) -> str:
-    """Return the headline figures."""
+    """Return the headline values as cards."""
     ate = _write(metrics, "ate_m", "{:.3f} m")
     before = _note(metrics, "ate_odometry_m", "odometry alone: {:.3f} m")
-    right = _note(metrics, "loop_precision", "right by ground truth: {:.0%}")
+    correct = _note(metrics, "loop_precision", "correct by ground truth: {:.0%}")
     headlines = [
         ("Trajectory error", ate, before),
-        ("Loops accepted", _write(metrics, "n_loops", "{}"), right),
-        ("Scene labels right", _write(metrics, "scene_accuracy", "{:.0%}"), "of the keyframes"),
+        ("Loops accepted", _write(metrics, "n_loops", "{}"), correct),
+        (
+            "Correct scene labels",
+            _write(metrics, "scene_accuracy", "{:.0%}"),
+            "of single keyframes",
+        ),
         ("Speed", _write(metrics, "fps", "{:.1f} fps"), "from reading to trajectory"),
         ("Peak memory", _write(metrics, "peak_rss_mb", "{:.0f} MB"), "of the whole process"),
     ]
@@ -88,7 +104,7 @@ def cards(metrics: Metrics) -> str:
 
 
 def tables(metrics: Metrics) -> str:
-    """Return all metrics as tables; those without a name here keep their key."""
+    """Return all metrics as tables; metrics without a name are listed by their key."""
     named = {key for rows in TABLES.values() for key in rows}
     others = {
         key: (key, "{}")

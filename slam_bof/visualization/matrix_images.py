@@ -1,4 +1,4 @@
-"""Matrices as pictures, drawn by OpenCV: loops (the paper's Figure 10), confusion of scenes."""
+"""Matrices drawn as images: loops (Figure 10 of the paper) and confusion of scene labels."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ def draw_loop_matrix(
     *,
     title: str,
 ) -> Image:
-    """Draw pairs of frames: the newer one counts downwards, the older one to the right.
+    """Draw pairs of frames, the newer one as row and the older one as column.
 
     Parameters
     ----------
     scores
-        (K, K) similarity of row and column, darker the more alike; 0 where not compared.
+        (K, K) similarity of row and column, drawn darker where higher; 0 where not compared.
     truth
-        (K, K), pairs that show the same place by ground truth: tinted.
+        (K, K) whether a pair shows the same place by ground truth; such pairs are tinted.
     loops
-        By what the legend calls them, a colour (name of ``figures.COLORS``) and the pairs
-        (L, 2) of query and match to mark.
+        For each name in the legend, a colour (a name in ``figures.COLORS``) and the pairs (L, 2)
+        of query and match to mark.
     title
-        Stands above.
+        The line above the matrix.
 
     Returns
     -------
     Image
-        (H, W, 3) uint8, blue first, as OpenCV has it.
+        (H, W, 3) uint8, in the order blue, green, red.
 
     Raises
     ------
@@ -77,21 +77,21 @@ def draw_loop_matrix(
 
 
 def draw_confusion(counts: NDArray[np.integer], classes: Sequence[str], *, title: str) -> Image:
-    """Draw how often a true class (row) is taken for another (column), in shares of its row.
+    """Draw a confusion matrix: true classes as rows, predicted ones as columns.
 
     Parameters
     ----------
     counts
-        (C, C) frames.
+        (C, C) number of frames; colours are shares of the row.
     classes
-        (C,) their names.
+        (C,) names of the classes.
     title
-        Stands above.
+        The line above the matrix.
 
     Returns
     -------
     Image
-        (H, W, 3) uint8, blue first, as OpenCV has it.
+        (H, W, 3) uint8, in the order blue, green, red.
 
     Raises
     ------
@@ -126,13 +126,13 @@ def draw_confusion(counts: NDArray[np.integer], classes: Sequence[str], *, title
 
 
 def write_png(path: Path, image: Image) -> None:
-    """Write a picture; OSError where it cannot be written."""
+    """Write an image as PNG; ``OSError`` if it cannot be written."""
     _, coded = cv2.imencode(".png", image)
     path.write_bytes(coded.tobytes())
 
 
 def _background(scores: NDArray[np.floating], truth: NDArray[np.bool_]) -> Image:
-    """Return the scores in grey, the best hundredth black, over the tinted truth."""
+    """Return the scores in grey, black for the best hundredth, over the tinted truth."""
     positive = scores[scores > 0.0]
     top = float(np.quantile(positive, 0.99)) if len(positive) else 1.0
     paper = np.where(truth[..., None], np.array(_bgr(TRUTH)), 255).astype(np.float32)
@@ -152,7 +152,7 @@ def _bgr(color: str) -> tuple[int, int, int]:
 
 
 def _write_down(image: Image, text: str, at: tuple[int, int]) -> None:
-    """Write from top to bottom."""
+    """Write text from top to bottom."""
     x, y = at
     strip = np.full((16, 10 + 8 * len(text), 3), 255, np.uint8)
     _write(strip, text, (2, 12), 0.42)

@@ -1,17 +1,26 @@
-"""A run on one HTML page: figures and a table, in one file that needs no network."""
+"""The report of a run: one HTML file with figures and tables that needs no network."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from slam_bof import evaluation
 from slam_bof.geometry import se3
-from slam_bof.types import Array, Candidate, Keyframe, Loop, Pose, Trajectory
+from slam_bof.types import (
+    Array,
+    Candidate,
+    CandidateSource,
+    Decision,
+    EdgeKind,
+    Keyframe,
+    Loop,
+    Pose,
+    Trajectory,
+)
 from slam_bof.visualization import html_page as page
 
 __all__ = ["ReportData", "write_report"]
@@ -19,18 +28,18 @@ __all__ = ["ReportData", "write_report"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReportData:
-    """What a report shows.
+    """The data of a report.
 
     Parameters
     ----------
     metrics
-        As in metrics.json; what is None is shown as not known.
+        As in metrics.json; None is shown as unknown.
     odometry, optimized
-        ``T_odom_camera`` and ``T_map_camera`` of every frame processed, in that order.
+        ``T_odom_camera`` and ``T_map_camera`` of every frame.
     groundtruth
-        ``T_world_camera``, paired with the frames by stamp; NaN where unknown.
+        ``T_world_camera``, associated with the frames by time stamp; NaN where unknown.
     keyframes, loops, candidates
-        In the order they came; a keyframe's ``frame_index`` counts the frames above.
+        In order of time; a keyframe's ``frame_index`` is an index of the frames above.
     true_scenes
         The true label of each keyframe, None where unknown.
     """
@@ -45,7 +54,7 @@ class ReportData:
     true_scenes: Sequence[str | None] | None = None
 
     def __post_init__(self) -> None:
-        """Check what must have the same length."""
+        """Check the lengths."""
         if len(self.odometry) != len(self.optimized):
             raise ValueError(
                 f"trajectories must have the same frames, got {len(self.odometry)} of odometry "
@@ -59,11 +68,11 @@ class ReportData:
 
 
 def write_report(path: Path | str, data: ReportData) -> None:
-    """Write the page; the same data give the same bytes."""
+    """Write the report; the same data give the same bytes."""
     from plotly.offline import get_plotlyjs
 
     body = [page.cards(data.metrics), *_sections(data)]
-    html = page.fill(
+    html = page.render_page(
         title=str(data.metrics.get("sequence") or "Unnamed sequence"),
         subtitle=_subtitle(data),
         body="".join(body),
@@ -75,7 +84,7 @@ def write_report(path: Path | str, data: ReportData) -> None:
 def _subtitle(data: ReportData) -> str:
     stamps_s, metrics = data.optimized.stamps_s, data.metrics
     duration_s = float(stamps_s[-1] - stamps_s[0]) if len(stamps_s) else 0.0
-    parts = [
+    items = [
         str(metrics.get("dataset") or ""),
         _count(len(stamps_s), "frame"),
         f"{duration_s:.1f} s",
@@ -83,7 +92,7 @@ def _subtitle(data: ReportData) -> str:
         f"slam_bof {metrics['version']}" if metrics.get("version") is not None else "",
         f"seed {metrics['seed']}" if metrics.get("seed") is not None else "",
     ]
-    return " · ".join(part for part in parts if part)
+    return " · ".join(item for item in items if item)
 
 
 def _sections(data: ReportData) -> Iterator[str]:
@@ -91,7 +100,7 @@ def _sections(data: ReportData) -> Iterator[str]:
     yield _trajectory_section(data, truth)
     if truth is not None:
         yield _error_section(data, truth)
-    considered = [c for c in data.candidates if c.kind == "loop"]
+    considered = [c for c in data.candidates if c.kind == EdgeKind.LOOP]
     if considered:
         yield _candidate_section(data, considered)
     if any(keyframe.scene is not None for keyframe in data.keyframes):
@@ -105,8 +114,8 @@ def _sections(data: ReportData) -> Iterator[str]:
     if stage_ms:
         yield _stage_section(stage_ms)
     if data.metrics:
-        text = "As in metrics.json, which has them in full precision."
-        yield page.section("All figures", text, page.tables(data.metrics))
+        text = "The content of metrics.json, rounded."
+        yield page.section("All metrics", text, page.tables(data.metrics))
 
 
 def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
@@ -114,13 +123,13 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
 
     if truth is None:
         text = (
-            "The camera's path as odometry alone has it, and after the loops have corrected it. "
-            "No ground truth is known for this sequence."
+            "The path of the camera by odometry alone, and after correction by loops. "
+            "The ground truth of this sequence is unknown."
         )
     else:
         text = (
-            "The camera's path as odometry alone has it, and after the loops have corrected it, "
-            "each aligned rigidly with ground truth, as the trajectory error (ATE) is measured."
+            "The path of the camera by odometry alone, and after correction by loops, each "
+            "rigidly aligned with ground truth, as for the absolute trajectory error (ATE)."
         )
     poses = _poses(data, truth)
     T_level = _level(poses["optimized"])
@@ -132,8 +141,8 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
     return page.section(
         "Trajectory",
         f"{text} In all figures: drag to zoom or turn, double-click to reset.",
-        _html(figures.draw_top_view(paths, links, keyframes), "top-view"),
-        _html(figures.draw_trajectories(paths, links), "space-view"),
+        page.figure_html(figures.draw_top_view(paths, links, keyframes), "top-view"),
+        page.figure_html(figures.draw_trajectories(paths, links), "space-view"),
     )
 
 
@@ -146,10 +155,11 @@ def _error_section(data: ReportData, truth: Trajectory) -> str:
         name: np.linalg.norm(p[:, :3, 3] - true[:, :3, 3], axis=1).round(5)
         for name, p in poses.items()
     }
+    times_s = _since_start(data, data.optimized.stamps_s)
     return page.section(
         "Position error",
-        "How far each frame's position is from ground truth, after the same alignment.",
-        _html(figures.draw_errors(_since_start(data, data.optimized.stamps_s), errors_m), "errors"),
+        "Distance of each frame's position from ground truth, after the same alignment.",
+        page.figure_html(figures.draw_errors(times_s, errors_m), "errors"),
     )
 
 
@@ -157,24 +167,24 @@ def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str
     from slam_bof.visualization import figures
 
     stamps_s = np.array([data.keyframes[c.query_id].stamp_s for c in considered])
-    n_accepted = sum(c.decision == "accepted" for c in considered)
-    n_near = sum(c.source == "proximity" for c in considered)
+    n_accepted = sum(c.decision == Decision.ACCEPTED for c in considered)
+    n_near = sum(c.source == CandidateSource.PROXIMITY for c in considered)
     figure = figures.draw_candidates(considered, _since_start(data, stamps_s))
     return page.section(
         "Loop candidates",
         f"{_count(len(considered), 'pair')} of keyframes considered, {n_accepted} accepted. "
-        "Above, the score by which place recognition proposed a pair, relative to what a "
-        f"neighbour in time scores; {n_near} pairs that the map itself proposed have none. "
-        "Below, how far the two point clouds overlap, for pairs that came to be compared. "
-        "Hover over a point to read why it was accepted or rejected.",
-        _html(figure, "candidates"),
+        "Above: the score with which place recognition proposed a pair; "
+        f"{n_near} pairs proposed because they are near in the map have none. "
+        "Below: the overlap of the two keyframes, for pairs that were verified. "
+        "Hover over a point to see the reason for the decision.",
+        page.figure_html(figure, "candidates"),
     )
 
 
 def _label_section(data: ReportData) -> str:
     from slam_bof.visualization import figures
 
-    stamps_s = np.array([keyframe.stamp_s for keyframe in data.keyframes])
+    times_s = _since_start(data, np.array([keyframe.stamp_s for keyframe in data.keyframes]))
     known = data.true_scenes is not None and any(s is not None for s in data.true_scenes)
     drawn = {
         "labels": [keyframe.scene for keyframe in data.keyframes],
@@ -182,11 +192,11 @@ def _label_section(data: ReportData) -> str:
     }
     return page.section(
         "Scene labels",
-        "The label of each keyframe by itself and, beside it, by those before and after as well; "
-        "a larger point is a more probable label. "
-        + ("Grey squares are the true labels." if known else "The true labels are not known."),
+        "The label of each keyframe's image and, in the second figure, the label smoothed over "
+        "neighbouring keyframes. Larger points are more probable labels. "
+        + ("Grey squares are the true labels." if known else "The true labels are unknown."),
         *(
-            _html(figures.draw_labels(_since_start(data, stamps_s), scenes, data.true_scenes), name)
+            page.figure_html(figures.draw_labels(times_s, scenes, data.true_scenes), name)
             for name, scenes in drawn.items()
             if any(scene is not None for scene in scenes)
         ),
@@ -198,14 +208,14 @@ def _stage_section(stage_ms: Mapping[str, float]) -> str:
 
     return page.section(
         "Time",
-        "Wall time of each stage, as a mean over the frames of the sequence. The total also "
-        "holds what is not in a stage.",
-        _html(figures.draw_stages(stage_ms), "stages"),
+        "Wall time of each stage, as a mean over the frames of the sequence. The total includes "
+        "time outside the stages.",
+        page.figure_html(figures.draw_stages(stage_ms), "stages"),
     )
 
 
 def _truth_by_frame(data: ReportData) -> Trajectory | None:
-    """Return the ground truth of each frame, NaN where unknown; None with too little of it."""
+    """Return the true pose of each frame, NaN where unknown; None if too few are known."""
     if data.groundtruth is None:
         return None
     if evaluation.align_trajectory(data.optimized, data.groundtruth) is None:
@@ -217,7 +227,7 @@ def _truth_by_frame(data: ReportData) -> Trajectory | None:
 
 
 def _poses(data: ReportData, truth: Trajectory | None) -> dict[str, Array]:
-    """Return what to draw, by name, (N, 4, 4) each, in the frame of the truth if there is one."""
+    """Return the poses to draw, (N, 4, 4) by name, in the frame of the ground truth if known."""
     poses = {"odometry": data.odometry.poses, "optimized": data.optimized.poses}
     if truth is None:
         return poses
@@ -229,10 +239,10 @@ def _poses(data: ReportData, truth: Trajectory | None) -> dict[str, Array]:
 
 
 def _links(data: ReportData, truth: Trajectory | None, keyframes: Array) -> dict[str, Array]:
-    """Return the end points (L, 2, 3) of the edges by kind; loops that are wrong apart."""
+    """Return the end points (L, 2, 3) of covisibility edges, loops, and wrong loops."""
     ids = np.array([(loop.match_id, loop.query_id) for loop in data.loops], dtype=np.intp)
     ends = keyframes[ids.reshape(-1, 2)]
-    far = np.array([loop.kind == "loop" for loop in data.loops], dtype=bool)
+    far = np.array([loop.kind == EdgeKind.LOOP for loop in data.loops], dtype=bool)
     wrong = np.zeros(len(far), dtype=bool)
     if truth is not None:
         indices = _frame_indices(data)
@@ -243,9 +253,9 @@ def _links(data: ReportData, truth: Trajectory | None, keyframes: Array) -> dict
 
 
 def _level(T_world_camera: Array) -> Pose:
-    """Find the frame to look at poses (N, 4, 4) in: x right, y forward, z up, first at 0.
+    """Return T_view_world of poses (N, 4, 4): x right, y forward, z up, the first pose at 0.
 
-    Up is where the cameras' tops point on the whole, forward where the first one looks.
+    Up is the mean direction of the cameras' tops, forward the view of the first camera.
     """
     if len(T_world_camera) == 0:
         return np.eye(4)
@@ -267,16 +277,6 @@ def _frame_indices(data: ReportData) -> list[int]:
 def _since_start(data: ReportData, stamps_s: Array) -> Array:
     start_s = data.optimized.stamps_s[0] if len(data.optimized) else 0.0
     return np.asarray(stamps_s - start_s).round(4)
-
-
-def _html(figure: Any, div_id: str) -> str:
-    html: str = figure.to_html(
-        full_html=False,
-        include_plotlyjs=False,
-        div_id=div_id,
-        config={"displayModeBar": False, "responsive": True},
-    )
-    return html
 
 
 def _count(n: int, noun: str) -> str:

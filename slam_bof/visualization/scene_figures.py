@@ -1,4 +1,4 @@
-"""The figures of a comparison of scene labels, as plotly draws them."""
+"""The figures of a comparison of scene labelling methods, drawn by plotly."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slam_bof.evaluation import Roc
 from slam_bof.types import Array
-from slam_bof.visualization.figures import COLORS, PALETTE, clean
+from slam_bof.visualization.figures import COLORS, PALETTE, apply_style
 
 __all__ = ["draw_confusion", "draw_reliability", "draw_roc"]
 
@@ -19,7 +19,7 @@ Figure = Any
 
 
 def draw_confusion(counts: NDArray[np.integer], classes: Sequence[str]) -> Figure:
-    """Draw how often a true class (row) is taken for another (column), (C, C) frames."""
+    """Draw a confusion matrix (C, C) of frames: true classes as rows, predicted as columns."""
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     names = list(classes)
     figure = go.Figure(
@@ -33,16 +33,16 @@ def draw_confusion(counts: NDArray[np.integer], classes: Sequence[str]) -> Figur
             zmin=0.0,
             zmax=1.0,
             showscale=False,
-            hovertemplate="%{y} taken for %{x}: %{text}<extra></extra>",
+            hovertemplate="%{y} predicted as %{x}: %{text}<extra></extra>",
         )
     )
     figure.update_yaxes(autorange="reversed", title="true")
     figure.update_xaxes(title="predicted")
-    return clean(figure).update_layout(height=180 + 34 * len(names))
+    return apply_style(figure).update_layout(height=180 + 34 * len(names))
 
 
 def draw_roc(curves: Sequence[Roc]) -> Figure:
-    """Draw each class against all others (the paper's Figure 9), areas in the legend."""
+    """Draw the ROC curve of each class (Figure 9 of the paper), with the area in the legend."""
     figure = go.Figure()
     for number, curve in enumerate(curves):
         figure.add_scatter(
@@ -54,13 +54,13 @@ def draw_roc(curves: Sequence[Roc]) -> Figure:
         )
     chance = {"color": COLORS["muted"], "dash": "dot"}
     figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line=chance, showlegend=False)
-    figure.update_xaxes(title="false positives", range=[0, 1])
-    figure.update_yaxes(title="true positives", range=[0, 1.02])
-    return clean(figure).update_layout(height=520)
+    figure.update_xaxes(title="false positive rate", range=[0, 1])
+    figure.update_yaxes(title="true positive rate", range=[0, 1.02])
+    return apply_style(figure).update_layout(height=520)
 
 
 def draw_reliability(bins: Mapping[str, tuple[Array, Array, NDArray[np.intp]]]) -> Figure:
-    """Draw, by method, the share of right labels over their mean confidence, bin by bin."""
+    """Draw the accuracy of labels over their mean probability, by method and bin."""
     figure = go.Figure()
     for number, (name, (means, shares, counts)) in enumerate(bins.items()):
         figure.add_scatter(
@@ -71,10 +71,10 @@ def draw_reliability(bins: Mapping[str, tuple[Array, Array, NDArray[np.intp]]]) 
             mode="lines+markers",
             visible=True if number < 2 else "legendonly",
             line={"color": PALETTE[number % len(PALETTE)]},
-            hovertemplate="%{text} labels: %{y:.2f} right at %{x:.2f}<extra></extra>",
+            hovertemplate="%{text} labels: %{y:.2f} correct at %{x:.2f}<extra></extra>",
         )
     chance = {"color": COLORS["muted"], "dash": "dot"}
     figure.add_scatter(x=[0, 1], y=[0, 1], mode="lines", line=chance, showlegend=False)
-    figure.update_xaxes(title="probability said", range=[0, 1])
-    figure.update_yaxes(title="share of labels that are right", range=[0, 1.02])
-    return clean(figure).update_layout(height=420)
+    figure.update_xaxes(title="predicted probability", range=[0, 1])
+    figure.update_yaxes(title="share of correct labels", range=[0, 1.02])
+    return apply_style(figure).update_layout(height=420)

@@ -1,4 +1,4 @@
-"""A comparison of scene labels on one HTML page, and confusion matrices as PNG."""
+"""A comparison of scene labelling methods as an HTML page, with confusion matrices as PNG."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import re
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
 
 from slam_bof.evaluation import SceneResult, reliability, roc
 from slam_bof.visualization import matrix_images as matrices
-from slam_bof.visualization.html_page import fill, section
+from slam_bof.visualization.html_page import figure_html, render_page, section
 
 __all__ = ["write_comparison"]
 
@@ -18,9 +17,9 @@ COLUMNS = (
     ("accuracy", "{:.3f}"),
     ("mean-class accuracy", "{:.3f}"),
     ("calibration error", "{:.3f}"),
-    ("CPU ms a frame", "{:.1f}"),
+    ("CPU ms per frame", "{:.1f}"),
     ("training, CPU s", "{:.1f}"),
-    ("learnt, MB", "{:.2f}"),
+    ("model, MB", "{:.2f}"),
 )
 
 
@@ -32,18 +31,19 @@ def write_comparison(
     title: str,
     subtitle: str,
 ) -> list[Path]:
-    """Write ``scenes.html``, and ``confusion_METHOD.png`` of every method, into a folder.
+    """Write ``scenes.html`` and ``confusion_METHOD.png`` for every method to a folder.
 
-    Returns the files, the page first.
+    Returns the paths of the files, the page first.
     """
     from plotly.offline import get_plotlyjs
 
     folder.mkdir(parents=True, exist_ok=True)
-    said = "".join(f" {name} is left out: {why}." for name, why in left_out.items())
-    body = [section("Methods", f"Trained and tested with the same frames.{said}", _table(results))]
+    text = "All methods are trained and tested with the same frames."
+    text += "".join(f" {name} is left out: {why}." for name, why in left_out.items())
+    body = [section("Methods", text, _table(results))]
     body += _figures(results)
     page = folder / "scenes.html"
-    html = fill(title=title, subtitle=subtitle, body="".join(body), script=get_plotlyjs())
+    html = render_page(title=title, subtitle=subtitle, body="".join(body), script=get_plotlyjs())
     page.write_text(html, encoding="utf-8", newline="\n")
     files = [page]
     for result in results:
@@ -64,20 +64,23 @@ def _figures(results: Sequence[SceneResult]) -> list[str]:
     for number, result in enumerate(results):
         scores = result.scores
         curves = roc(result.probabilities, result.true, scores.classes)
-        figures = [_html(draw_confusion(scores.confusion, scores.classes), f"confusion-{number}")]
+        figures = [
+            figure_html(draw_confusion(scores.confusion, scores.classes), f"confusion-{number}")
+        ]
         if curves:
-            figures.append(_html(draw_roc(curves), f"roc-{number}"))
+            figures.append(figure_html(draw_roc(curves), f"roc-{number}"))
         text = (
-            f"{len(result.true)} test frames. Left: true class (row) and predicted one (column). "
-            "Right: each class against all others, with the area below the curve."
+            f"{len(result.true)} test frames. Left: confusion of true class (row) and predicted "
+            "class (column). Right: ROC curve of each class, with the area under the curve."
         )
         sections.append(section(result.method, text, *figures))
         right = result.probabilities.argmax(axis=1) == [
             scores.classes.index(label) for label in result.true
         ]
         bins[result.method] = reliability(result.probabilities.max(axis=1), right)
-    text = "On the diagonal, of the labels said to be right with 0.7, 0.7 are right."
-    sections.insert(0, section("Honesty", text, _html(draw_reliability(bins), "reliability")))
+    text = "On the diagonal, 70 % of the labels with a predicted probability of 0.7 are correct."
+    diagram = figure_html(draw_reliability(bins), "reliability")
+    sections.insert(0, section("Calibration", text, diagram))
     return sections
 
 
@@ -99,13 +102,3 @@ def _table(results: Sequence[SceneResult]) -> str:
         )
         rows.append(f"<tr><th>{escape(result.method)}</th>{''.join(cells)}</tr>")
     return f"<table>{''.join(rows)}</table>"
-
-
-def _html(figure: Any, div_id: str) -> str:
-    html: str = figure.to_html(
-        full_html=False,
-        include_plotlyjs=False,
-        div_id=div_id,
-        config={"displayModeBar": False, "responsive": True},
-    )
-    return html

@@ -47,7 +47,7 @@ def oracle_descriptors(frame, params):
 
 
 @given(st.integers(0, 1000), st.sampled_from(["floor", "nearest"]))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_descriptors_equal_the_oracle(seed, rounding):
     frame = random_frame(seed)
     layers = SMALL.layers.model_copy(update={"rounding": rounding})

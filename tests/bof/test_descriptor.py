@@ -92,7 +92,7 @@ def test_a_turned_square_matches_after_alignment():
 @pytest.mark.parametrize("sampling", ["arc", "angle"])
 @pytest.mark.parametrize("start", ["farthest", "fourier"])
 @given(turn=st.floats(0, 2 * np.pi))
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 def test_a_turned_shape_keeps_its_descriptor(sampling, start, turn):
     angle = np.linspace(0, 2 * np.pi, 2000, endpoint=False)
     radius = 1e4 * (1 + 0.4 * np.cos(angle) + 0.2 * np.sin(3 * angle))

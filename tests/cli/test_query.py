@@ -16,7 +16,7 @@ from test_cli import refusal, slam_bof
 
 from slam_bof.bof import PlaceParams
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region, TrainingFrame, model, train_model
+from slam_bof.scenes import MapRoom, TrainingFrame, model, train_model
 from slam_bof.store import MapStore, SessionResult
 from slam_bof.types import Bag, DepthFrame, Keyframe, Scene
 
@@ -37,8 +37,8 @@ def labelled(tmp_path: Path) -> Path:
             bag = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
             save(store, Keyframe(k, 10 * k, k / 2, T, bag, scene), n_frames=1)
         rooms = [
-            Region(0, "kitchen", 0.8, (0, 1, 2), (1.0, -1.0, 0.0), (0.0, -1, 0), (2.0, -1, 0)),
-            Region(1, "office", 0.7, (3,), *((3.0, -1.0, 0.0),) * 3),
+            MapRoom(0, "kitchen", 0.8, (0, 1, 2), (1.0, -1.0, 0.0), (0.0, -1, 0), (2.0, -1, 0)),
+            MapRoom(1, "office", 0.7, (3,), *((3.0, -1.0, 0.0),) * 3),
         ]
         poses = np.array([k.T_odom_camera for k in store.keyframes()])
         store.finish(0, SessionResult([], poses, scenes["smoothed"], rooms))

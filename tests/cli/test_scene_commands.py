@@ -7,8 +7,8 @@ from pathlib import Path
 
 import cv2
 import pytest
+from labelled_boxes import SIZES_M, write_box
 from test_cli import refusal, slam_bof
-from test_scene_protocols import SIZES_M, write_box
 
 from slam_bof.scenes import model
 
@@ -74,8 +74,8 @@ def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path
     assert json.loads(result.stdout)["n_checked"] == 0
     trained = model.load(out)
     assert trained.places.layers.n_layers == 3
-    assert trained.scenes.machine == "naive-bayes"
-    assert trained.levels is None
+    assert trained.bag_classifier.classifier == "naive-bayes"
+    assert trained.levelled_classifier is None
     picture = next((boxes / "hall" / "seq-01").glob("*.png"))
     answer = slam_bof("query", picture, "--model", out, "--json")
     assert set(json.loads(answer.stdout)["probabilities"]) == set(SIZES_M)
@@ -114,7 +114,7 @@ def test_evaluate_scenes_prints_tables_and_writes_pictures(
     arguments = ("--protocol", protocol, "--methods", "bof,thumbnail,sift,bof:knn", *QUICK)
     result = slam_bof("evaluate", "scenes", *labels(boxes), *arguments, "-o", tmp_path)
     assert result.exit_code == 0, result.output
-    assert "Share of each class found" in result.stdout
+    assert "Recall by class" in result.stdout
     assert "sift is left out: no colour images" in result.stdout
     assert (tmp_path / "scenes.html").is_file()
     assert cv2.imread(str(tmp_path / "confusion_bof.png")) is not None

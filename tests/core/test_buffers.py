@@ -3,14 +3,14 @@ import threading
 import numpy as np
 
 from slam_bof.bof import PlaceParams, descriptors
-from slam_bof.core import scratch_image
+from slam_bof.core import thread_buffer
 
 
 def test_a_name_and_shape_have_one_array_in_a_thread():
-    first = scratch_image("test", (2, 3))
-    assert scratch_image("test", (2, 3)) is first
-    assert scratch_image("other", (2, 3)) is not first
-    assert scratch_image("test", (4,)).shape == (4,)
+    first = thread_buffer("test", (2, 3))
+    assert thread_buffer("test", (2, 3)) is first
+    assert thread_buffer("other", (2, 3)) is not first
+    assert thread_buffer("test", (4,)).shape == (4,)
     assert first.dtype == np.uint8
 
 

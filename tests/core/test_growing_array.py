@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from slam_bof.core import Stack
+from slam_bof.core import GrowingArray
 
 
 def test_rows_stay_as_the_stack_grows():
     rows = np.random.default_rng(0).integers(0, 100, (50, 2, 3))
-    stack = Stack((2, 3), np.int16)
+    stack = GrowingArray((2, 3), np.int16)
     for row in rows:
         stack.append(row)
     assert len(stack) == 50
@@ -16,14 +16,14 @@ def test_rows_stay_as_the_stack_grows():
 
 
 def test_scalars_and_none_at_all():
-    stack = Stack((), np.float32)
+    stack = GrowingArray((), np.float32)
     assert stack.rows.shape == (0,)
     stack.append(2.5)
     assert stack.rows.tolist() == [2.5]
 
 
 def test_truncated_rows_make_room_for_others():
-    stack = Stack((), np.int16)
+    stack = GrowingArray((), np.int16)
     for row in range(6):
         stack.append(row)
     stack.truncate(2)
@@ -35,4 +35,4 @@ def test_truncated_rows_make_room_for_others():
 
 def test_a_row_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="broadcast"):
-        Stack((2,), np.float32).append([1.0, 2.0, 3.0])
+        GrowingArray((2,), np.float32).append([1.0, 2.0, 3.0])

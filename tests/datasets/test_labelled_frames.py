@@ -16,7 +16,7 @@ from slam_bof.datasets import (
 )
 from slam_bof.datasets.depth_images import DepthImages
 from slam_bof.errors import DatasetError
-from slam_bof.scenes import moments
+from slam_bof.scenes import frame_groups
 
 
 def write_sequence(folder: Path, n: int = 3) -> Path:
@@ -107,7 +107,7 @@ def test_moments_are_stretches_of_a_sequence_or_whole_sequences(tmp_path: Path) 
     one = DepthImages(images)
     many = [DepthImages(images[:2]) for _ in range(5)]
     frames = [LabelledFrame(one, k, "hall") for k in range(10)]
-    found = moments(frames + [LabelledFrame(d, k, "bath") for d in many for k in range(2)])
+    found = frame_groups(frames + [LabelledFrame(d, k, "bath") for d in many for k in range(2)])
     name = f"0 {tmp_path.name} hall"
     assert found[:10] == [f"{name} {k // 2}" for k in range(10)]
     assert len(set(found[10:])) == 5

@@ -157,7 +157,7 @@ def test_repeated_and_missing_frames_are_counted(
     play(monkeypatch, repeats=[2], skips=[4, 4])
     result = record(tmp_path / "a", "--frames", 5)
     assert f"{tmp_path / 'a'}: 5 frames" in result.stdout
-    assert "2 frames of the camera came too fast" in result.stderr
+    assert "2 frames are missing: they arrived faster" in result.stderr
     dataset = registry.open_dataset(tmp_path / "a")
     assert [int(dataset.frame(i).depth[0, 0]) - 1000 for i in range(5)] == [0, 1, 3, 6, 7]
 

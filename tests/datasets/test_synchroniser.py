@@ -96,7 +96,7 @@ def test_poses_that_are_none_are_refused():
 
 
 @given(st.permutations(range(12)), st.permutations(range(12)), st.sets(st.integers(0, 11)))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_every_frame_is_given_out_once_or_dropped(frames, poses, missing):
     pairing = FramePoseSynchroniser(SynchroniserParams(max_frames=12, max_poses=8))
     given_out = []

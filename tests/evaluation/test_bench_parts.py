@@ -17,8 +17,8 @@ from slam_bof.cli import app
 from slam_bof.cli.bench import PROCESSES
 from slam_bof.core import registry
 from slam_bof.errors import DatasetError
-from slam_bof.evaluation import METHODS, run_bench
-from slam_bof.evaluation.descriptor_runs import Described, choose_frames
+from slam_bof.evaluation import run_bench
+from slam_bof.evaluation.descriptor_runs import METHODS, DescriptorRun, choose_frames
 from slam_bof.evaluation.index_benchmark import measure_index
 from slam_bof.geometry import se3
 from slam_bof.types import Bag
@@ -172,7 +172,7 @@ def test_too_few_frames_are_refused(kitchen: Path) -> None:
 
 def test_samples_are_rows_of_what_was_found() -> None:
     random = np.random.default_rng(0)
-    described = Described(registry.build("descriptors", "sift"))
+    described = DescriptorRun(registry.build("descriptors", "sift"))
     parts = [random.integers(0, 256, (n, 128)).astype(np.float32) for n in (3, 0, 5)]
     for part in parts:
         described.keep(part)
@@ -186,14 +186,14 @@ def test_samples_are_rows_of_what_was_found() -> None:
 
 
 def test_fractions_are_kept_as_they_are() -> None:
-    described = Described(registry.build("descriptors", "bof"))
+    described = DescriptorRun(registry.build("descriptors", "bof"))
     part = np.random.default_rng(0).random((3, 180)).astype(np.float32)
     described.keep(part)
     np.testing.assert_array_equal(described.values[0], part)
 
 
 def test_bits_become_zeros_and_ones() -> None:
-    described = Described(registry.build("descriptors", "orb"))
+    described = DescriptorRun(registry.build("descriptors", "orb"))
     described.keep(np.array([[1] + [0] * 30 + [128]], np.uint8))
     bits = described.samples(10, seed=0)
     assert bits.shape == (1, 256)
@@ -219,7 +219,7 @@ def test_the_command_prints_the_tables(kitchen: Path) -> None:
     options = ("--frames", 6, "--words", 16, "--index-size", 100, "--index-size", 150)
     result = slam_bof("bench", "--data", kitchen, *options)
     assert result.exit_code == 0, result.output
-    for text in ("Table 7", "Table 8", "Table 9", "kitchen/seq-01: 6 frames", "3 stretches"):
+    for text in ("Table 7", "Table 8", "Table 9", "kitchen/seq-01: 6 frames", "3 segments"):
         assert text in result.stdout
     for process in PROCESSES:
         assert result.stdout.count(f"│ {process} ") == 2

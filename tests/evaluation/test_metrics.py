@@ -3,7 +3,7 @@ import pytest
 
 from slam_bof import evaluation
 from slam_bof.geometry import se3
-from slam_bof.types import Loop, Pose, Trajectory
+from slam_bof.types import CandidateSource, Loop, Pose, Trajectory
 
 
 def wander(n: int, seed: int = 0) -> Trajectory:
@@ -32,7 +32,7 @@ def without(trajectory: Trajectory, unknown: list[int]) -> Trajectory:
 
 
 def loop(query_id: int, match_id: int, T_match_query: Pose, kind: str = "loop") -> Loop:
-    return Loop(query_id, match_id, T_match_query, np.eye(6), kind, "bag")
+    return Loop(query_id, match_id, T_match_query, np.eye(6), kind, CandidateSource.BAG)
 
 
 def test_associate_pairs_by_time_within_the_limit() -> None:
@@ -134,8 +134,8 @@ def test_what_cannot_be_known_is_none() -> None:
     assert evaluation.scene_accuracy(["a"], None) is None
     assert evaluation.scene_accuracy([None], ["a"]) is None
     assert evaluation.scene_accuracy(["a"], [None]) is None
-    assert evaluation.recall_at_k([[1]], [set()], 1) is None
-    assert evaluation.precision_recall([0.1, 0.2], [False, False]) is None
+    nothing = np.zeros((2, 2), bool)
+    assert evaluation.retrieval_metrics(np.ones((2, 2)), nothing, ~nothing) is None
 
 
 def test_loop_errors_and_precision() -> None:
@@ -203,20 +203,13 @@ def test_scene_accuracy_counts_known_truth() -> None:
 
 
 def test_recall_at_k_grows_with_k() -> None:
-    ranked = [[3, 1, 2], [4, 5, 6], [9]]
-    relevant = [{1}, {6, 7}, set()]
-    found = [evaluation.recall_at_k(ranked, relevant, k) for k in (1, 2, 3)]
-    assert found == [0.0, 0.5, 1.0]
-
-
-def test_precision_recall_of_perfect_scores() -> None:
-    curve = evaluation.precision_recall([0.9, 0.8, 0.2, 0.1], [True, True, False, False])
-    assert curve is not None
-    assert curve.average_precision == 1.0
-    assert curve.precision.shape == curve.recall.shape == (len(curve.thresholds) + 1,)
-    worst = evaluation.precision_recall([0.9, 0.1], [False, True])
-    assert worst is not None
-    assert worst.average_precision == 0.5
+    scores = np.array([[0.1, 0.5, 0.9, 0.2], [0.9, 0.6, 0.5, 0.1], [0.9, 0, 0, 0], [0, 0, 0, 0]])
+    relevant = np.zeros((4, 4), bool)
+    relevant[0, 3] = relevant[1, [2, 3]] = True
+    metrics = evaluation.retrieval_metrics(scores, relevant, np.ones((4, 4), bool), (1, 2, 3))
+    assert metrics is not None
+    assert metrics.n_queries == 2
+    assert list(metrics.recall_at.values()) == [0.0, 0.0, 1.0]
 
 
 def test_confusion_has_the_truth_in_its_rows() -> None:

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from slam_bof.cli import app
 from slam_bof.core import registry
-from slam_bof.evaluation.place_benchmark import score_rows
+from slam_bof.evaluation.place_methods import row_similarities
 
 N_ROUND = 12
 
@@ -96,10 +96,10 @@ def test_bad_input_is_one_line(twice_round, tmp_path):
 
 def test_likeness_of_rows():
     rows = np.array([[3, 4, 0], [0, 0, 5], [3, 4, 5]], np.uint8)
-    cosine = score_rows(rows, "cosine")
+    cosine = row_similarities(rows, "cosine")
     np.testing.assert_allclose(np.diag(cosine), 1.0, rtol=1e-6)
     assert cosine[0, 1] == 0.0
-    assert score_rows(rows, "equal")[2].tolist() == pytest.approx([2 / 3, 1 / 3, 1.0])
-    assert score_rows(rows, "l1")[0].tolist() == [0.0, -4.0, pytest.approx(-5 / 3)]
+    assert row_similarities(rows, "equal")[2].tolist() == pytest.approx([2 / 3, 1 / 3, 1.0])
+    assert row_similarities(rows, "l1")[0].tolist() == [0.0, -4.0, pytest.approx(-5 / 3)]
     with pytest.raises(ValueError, match="comparison must be cosine, l1 or equal, got 'bag'"):
-        score_rows(rows, "bag")
+        row_similarities(rows, "bag")

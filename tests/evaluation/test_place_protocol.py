@@ -5,8 +5,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
 from slam_bof.evaluation import ProtocolParams, overlap_shares
-from slam_bof.evaluation.place_protocol import eligible, truths
-from slam_bof.evaluation.retrieval_metrics import judge
+from slam_bof.evaluation.place_protocol import allowed_answers, relevant_answers
+from slam_bof.evaluation.retrieval_metrics import retrieval_metrics
 from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame, Trajectory
 
@@ -20,7 +20,7 @@ def frames_at(poses):
 
 
 def test_only_frames_old_enough_may_answer():
-    allowed = eligible([0, 5, 10, 15], ProtocolParams(min_age_frames=10))
+    allowed = allowed_answers([0, 5, 10, 15], ProtocolParams(min_age_frames=10))
     assert np.argwhere(allowed).tolist() == [[2, 0], [3, 0], [3, 1]]
 
 
@@ -46,7 +46,7 @@ def test_truths_by_pose_and_by_overlap_differ():
     poses = np.stack([turned(0.0), turned(0.0, 0.35), turned(0.0, 0.1)])
     params = ProtocolParams(min_age_frames=1)
     reference = Trajectory(np.arange(3.0), poses)
-    right = truths(frames_at(poses), [0, 1, 2], reference, params)
+    right = relevant_answers(frames_at(poses), [0, 1, 2], reference, params)
     assert np.argwhere(right["pose"]).tolist() == [[2, 0], [2, 1]]
     assert np.argwhere(right["overlap"]).tolist() == [[1, 0], [2, 0], [2, 1]]
 
@@ -67,7 +67,7 @@ def literal(scores, truth, allowed, k):
 )
 def test_recall_equals_the_literal_one(scores, truth):
     allowed = np.tri(9, k=-2, dtype=bool)
-    judged = judge(scores, truth, allowed, ks=(1, 3))
+    judged = retrieval_metrics(scores, truth, allowed, ks=(1, 3))
     if not (truth & allowed).any():
         assert judged is None
         return
@@ -84,7 +84,7 @@ def test_full_precision_ends_at_the_first_wrong_answer():
     truth[[1, 2, 4], 0] = True
     scores = np.zeros((5, 5))
     scores[1:, 0] = [0.9, 0.8, 0.7, 0.6]  # that of query 3 is wrong
-    judged = judge(scores, truth, allowed)
+    judged = retrieval_metrics(scores, truth, allowed)
     assert judged.n_queries == 3
     assert judged.recall_at[1] == 1.0
     assert judged.recall_at_full_precision == pytest.approx(2 / 3)

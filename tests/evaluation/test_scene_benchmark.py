@@ -7,13 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import CAMERA, box_room_depth_mm
+from conftest import CAMERA
+from labelled_boxes import SIZES_M, write_box
 
 from slam_bof.datasets import LabelledFrame, frames_of, open_labelled
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation import (
     Split,
-    compare,
+    compare_methods,
     make_methods,
     split_at_random,
     split_officially,
@@ -21,20 +22,8 @@ from slam_bof.evaluation import (
     split_sunrgbd,
 )
 from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
-from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame
 from slam_bof.visualization import write_comparison
-
-SIZES_M = {"hall": (0.8, 1.3, 4.0), "office": (2.0, 1.5, 2.5), "store": (1.2, 2.2, 1.2)}
-
-
-def write_box(folder: Path, label: str, n: int = 12, *, turned: float = 0.0) -> None:
-    """Write a turn in a box whose size is of the label, in 7-Scenes layout."""
-    folder.mkdir(parents=True)
-    for number in range(n):
-        T = se3.exp(np.array([0, turned + 0.2 * number, 0, 0.02 * number, 0, 0]))
-        depth = box_room_depth_mm(CAMERA, T, SIZES_M[label])
-        cv2.imwrite(str(folder / f"frame-{number:06d}.depth.png"), depth)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +50,7 @@ def test_methods_learn_the_same_and_are_judged_on_the_same(scenes: Path, tmp_pat
     methods = make_methods(["thumbnail", "bof", "sift", "gist-depth+thumbnail"], n_words=8)
     methods.insert(1, ModelMethod(n_words=8, levelled=False))
     seen: list[tuple[str, int, int]] = []
-    results, left_out = compare(split, methods, on_progress=lambda *said: seen.append(said))
+    results, left_out = compare_methods(split, methods, on_progress=lambda *said: seen.append(said))
     assert list(left_out) == ["sift"]
     assert left_out["sift"].startswith("no colour images in hall/seq-01")
     assert [r.method for r in results] == ["thumbnail", "ours", "bof", "gist-depth+thumbnail"]
@@ -89,7 +78,7 @@ def test_a_class_that_was_never_trained_with_counts_as_wrong(scenes: Path) -> No
     frames = [f for label in SIZES_M for f in frames_of(open_labelled(label, scenes / label))]
     known = [f for f in frames if f.label != "store"]
     split = Split(known[::2], [f for f in frames if f.label == "store"] + known[1::2])
-    (result,), _ = compare(split, make_methods(["thumbnail"]))
+    (result,), _ = compare_methods(split, make_methods(["thumbnail"]))
     store = result.scores.classes.index("store")
     assert (result.probabilities[:, store] == 0).all()
     assert result.scores.by_class[store].recall == 0.0
@@ -99,11 +88,11 @@ def test_what_finds_too_little_is_left_out(scenes: Path) -> None:
     hall = frames_of(open_labelled("hall", scenes / "hall"))[:6]
     wall = Wall()
     split = split_at_random(hall + [LabelledFrame(wall, k, "wall") for k in range(6)])
-    results, left_out = compare(split, make_methods(["bof", "thumbnail"]))
+    results, left_out = compare_methods(split, make_methods(["bof", "thumbnail"]))
     assert [r.method for r in results] == ["bof", "thumbnail"]
     assert left_out == {}
     nothing = split_at_random([LabelledFrame(wall, k, "ab"[k % 2]) for k in range(12)])
-    results, left_out = compare(nothing, make_methods(["bof"]))
+    results, left_out = compare_methods(nothing, make_methods(["bof"]))
     assert results == []
     assert "found 0 descriptors of bof" in left_out["bof"]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam_bof.evaluation import calibration_error, reliability, roc
-from slam_bof.evaluation.scene_metrics import score
+from slam_bof.evaluation.scene_metrics import scene_scores
 
 CLASSES = ("bath", "hall", "office")
 
@@ -12,7 +12,7 @@ CLASSES = ("bath", "hall", "office")
 def test_accuracy_of_frames_and_of_classes() -> None:
     true = ["bath"] * 8 + ["hall"] * 2
     p = np.array([[0.8, 0.1, 0.1]] * 8 + [[0.6, 0.3, 0.1], [0.1, 0.8, 0.1]])
-    scores = score(p, true, CLASSES)
+    scores = scene_scores(p, true, CLASSES)
     assert scores.accuracy == 0.9
     assert scores.mean_class_accuracy == 0.75
     bath, hall, office = scores.by_class
@@ -21,7 +21,7 @@ def test_accuracy_of_frames_and_of_classes() -> None:
     assert (office.precision, office.recall, office.f1) == (None, None, None)
     assert scores.confusion.tolist() == [[8, 0, 0], [1, 1, 0], [0, 0, 0]]
     with pytest.raises(ValueError, match="at least one label"):
-        score(np.empty((0, 3)), [], CLASSES)
+        scene_scores(np.empty((0, 3)), [], CLASSES)
 
 
 def test_labels_as_often_right_as_they_say_are_calibrated() -> None:

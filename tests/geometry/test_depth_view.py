@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
-from slam_bof.geometry import in_steps, make_view, thicken, thin, view_points
+from slam_bof.geometry import make_view, quantize_depth, restore_frame, subsample, view_points
 from slam_bof.geometry.depth_view import surface_normals
 from slam_bof.types import DepthFrame, Intrinsics
 
@@ -89,9 +89,9 @@ def test_what_the_map_keeps_of_a_frame_makes_the_same_view(size, metres):
     depth[rng.random(depth.shape) < 0.1] = 65535
     camera = Intrinsics(width, height, 500.3, 499.1, width / 2.1, height / 1.9)
     given = np.float32(0.0007) + depth / np.float32(997.0) if metres else depth
-    frame = in_steps(DepthFrame(1.0, given, camera))
-    kept = thin(frame)
-    back = thicken(kept, 1.0)
+    frame = quantize_depth(DepthFrame(1.0, given, camera))
+    kept = subsample(frame)
+    back = restore_frame(kept, 1.0)
     assert kept.depth.size <= 200 * 150
     for ours, theirs in (
         (make_view(back).depth_m, make_view(frame).depth_m),
@@ -99,12 +99,12 @@ def test_what_the_map_keeps_of_a_frame_makes_the_same_view(size, metres):
         (view_points(back), view_points(frame)),
     ):
         np.testing.assert_array_equal(ours, theirs)
-    np.testing.assert_array_equal(thin(in_steps(back)).depth, kept.depth)
+    np.testing.assert_array_equal(subsample(quantize_depth(back)).depth, kept.depth)
 
 
 def test_depths_in_metres_are_rounded_by_a_sixteenth_of_a_millimetre_at_most():
     depth = np.random.default_rng(0).uniform(0.1, 8.0, (48, 64)).astype(np.float32)
     depth[0, :3] = np.nan, np.inf, -1.0
-    rounded = in_steps(DepthFrame(0.0, depth, Intrinsics(64, 48, 50, 50, 32, 24)))
+    rounded = quantize_depth(DepthFrame(0.0, depth, Intrinsics(64, 48, 50, 50, 32, 24)))
     np.testing.assert_allclose(rounded.depth_m()[1:], depth[1:], rtol=0, atol=6.3e-5)
     assert not rounded.depth_m()[0, :3].any()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slam_bof.geometry import AlignmentParams, View, ViewAligner, make_view, se3
+from slam_bof.geometry import AlignmentParams, DepthView, ViewAligner, make_view, se3
 from slam_bof.types import DepthFrame, Intrinsics
 
 ONE = np.array([0])
@@ -46,27 +46,29 @@ def test_a_good_start_among_bad_ones_is_enough(pair):
 def test_the_true_motion_agrees_and_wrong_ones_do_not(pair):
     aligner, T_match_query = pair
     closer = T_match_query @ se3.pose(np.eye(3), [0, 0, -0.5])
-    seen, blocking, _ = aligner.agreement(1, np.zeros(2, int), np.stack([T_match_query, closer]))
-    assert seen[0] > 0.6
-    assert blocking[0] < 0.1
-    assert seen[1] < 0.4
-    assert blocking[1] > 0.4
+    inlier_ratio, free_space_violation, _ = aligner.agreement(
+        1, np.zeros(2, int), np.stack([T_match_query, closer])
+    )
+    assert inlier_ratio[0] > 0.6
+    assert free_space_violation[0] < 0.1
+    assert inlier_ratio[1] < 0.4
+    assert free_space_violation[1] > 0.4
 
 
 def test_a_view_agrees_with_itself_altogether(pair):
     aligner, _ = pair
     agreement = aligner.agreement(1, np.array([1]), np.eye(4)[None])
-    assert agreement.seen.tolist() == [1.0]
-    assert agreement.blocking.tolist() == [0.0]
-    assert agreement.compared.tolist() == [1.0]
+    assert agreement.inlier_ratio.tolist() == [1.0]
+    assert agreement.free_space_violation.tolist() == [0.0]
+    assert agreement.visible_ratio.tolist() == [1.0]
 
 
 def test_what_falls_outside_the_other_view_is_not_compared(pair):
     aligner, _ = pair
     turned = se3.exp(np.array([[0, yaw, 0, 0, 0, 0] for yaw in (0.4, np.pi)]))
-    compared = aligner.agreement(1, np.array([1, 1]), turned).compared
-    assert 0.3 < compared[0] < 0.9
-    assert compared[1] == 0.0
+    visible_ratio = aligner.agreement(1, np.array([1, 1]), turned).visible_ratio
+    assert 0.3 < visible_ratio[0] < 0.9
+    assert visible_ratio[1] == 0.0
 
 
 def test_truncated_views_are_forgotten_and_replaced(look, standpoint):
@@ -99,10 +101,10 @@ def test_a_view_of_nothing_aligns_with_nothing(pair, look, standpoint):
     camera = make_view(look(upright(*standpoint, 1.3, 0.8), 0)).intrinsics
     empty = np.zeros((camera.height, camera.width), np.float32)
     for _ in range(2):
-        aligner.add(View(empty, np.zeros((*empty.shape, 3), np.float32), camera))
+        aligner.add(DepthView(empty, np.zeros((*empty.shape, 3), np.float32), camera))
     T = aligner.align(1, ONE, T_match_query[None, None])
     assert np.isfinite(T).all()
-    assert aligner.agreement(1, ONE, T).seen.tolist() == [0.0]
+    assert aligner.agreement(1, ONE, T).inlier_ratio.tolist() == [0.0]
     assert aligner.points_camera(0).shape == (0, 3)
 
 
@@ -143,9 +145,9 @@ def test_pairs_that_rest_on_the_way_end_where_restless_ones_do(look, standpoint,
     far = T_match_query @ se3.exp(np.array([0.03, -0.04, 0.02, 0.06, 0.03, -0.05]))
     near = T_match_query @ se3.exp(np.full(6, 0.002))
     found = []
-    for rest in (0.0, AlignmentParams().rest):
+    for min_step in (0.0, AlignmentParams().min_step):
         aligner = ViewAligner(
-            AlignmentParams(n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), rest=rest)
+            AlignmentParams(n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), min_step=min_step)
         )
         for view in views:
             aligner.add(view)

@@ -1,7 +1,13 @@
 import numpy as np
 import pytest
 
-from slam_bof.geometry import JudgementParams, is_partial, judge, plane_information, reject
+from slam_bof.geometry import (
+    RegistrationQualityParams,
+    assess_registration,
+    is_partial,
+    plane_information,
+    reject,
+)
 
 CORNER = np.repeat(np.eye(3), 4, axis=0)
 """Normals of three walls, each with four points about its middle."""
@@ -15,17 +21,17 @@ POINTS = np.concatenate(
 POSE = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
-def verify(*, overlap=0.7, guessed=True, residual_m=0.01, normals=CORNER, objection=""):
+def verify(*, overlap=0.7, guessed=True, residual_m=0.01, normals=CORNER, reason_against=""):
     residuals_m = np.full(len(normals), residual_m)
     points = POINTS[: len(normals)]
-    return judge(
-        JudgementParams(),
+    return assess_registration(
+        RegistrationQualityParams(),
         POSE,
         residuals_m,
         plane_information(points, normals, normals, residuals_m),
         overlap=overlap,
         guessed=guessed,
-        objection=objection,
+        reason_against=reason_against,
     )
 
 
@@ -42,8 +48,8 @@ def test_a_corner_holds_a_pose():
     [
         ({"overlap": 0.3}, "overlap 0.30 below 0.35"),
         ({"overlap": 0.5, "guessed": False}, "overlap 0.50 below 0.6"),
-        ({"objection": "in the way"}, "in the way"),
-        ({"overlap": 0.3, "objection": "in the way"}, "overlap 0.30 below 0.35"),
+        ({"reason_against": "in the way"}, "in the way"),
+        ({"overlap": 0.3, "reason_against": "in the way"}, "overlap 0.30 below 0.35"),
         ({"residual_m": 0.06}, "residual 0.060 m above 0.05 m"),
         ({"normals": CORNER[:0]}, "no correspondences"),
     ],

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slam_bof.geometry import View, se3
+from slam_bof.geometry import DepthView, se3
 from slam_bof.geometry.depth_view import surface_normals
 from slam_bof.geometry.view_stack import ViewStack
 from slam_bof.types import Intrinsics
@@ -13,8 +13,8 @@ def wall(depth_m):
     """A wall square to the view; the last column is unknown."""
     depth = np.full((CAMERA.height, CAMERA.width), depth_m, np.float32)
     depth[:, -1] = 0.0
-    view = View(depth, np.zeros((*depth.shape, 3), np.float32), CAMERA)
-    return View(depth, surface_normals(view.rays() * depth[..., None]), CAMERA)
+    view = DepthView(depth, np.zeros((*depth.shape, 3), np.float32), CAMERA)
+    return DepthView(depth, surface_normals(view.rays() * depth[..., None]), CAMERA)
 
 
 @pytest.fixture
@@ -33,34 +33,34 @@ STAND = [0, 0, 0, 0, 0, 0]
 
 
 def test_a_view_s_points_fall_on_their_own_pixels(views):
-    fallen = views.fall(views.points_camera(0), poses(STAND))
+    projected = views.project_points(views.points_camera(0), poses(STAND))
     row, column = np.divmod(np.arange(CAMERA.height * CAMERA.width), CAMERA.width)
     known = column < CAMERA.width - 1
-    np.testing.assert_array_equal(fallen.column[0], column[known])
-    np.testing.assert_array_equal(fallen.row[0], row[known])
-    assert fallen.inside.all()
-    np.testing.assert_allclose(fallen.depth_m, 2.0)
+    np.testing.assert_array_equal(projected.column[0], column[known])
+    np.testing.assert_array_equal(projected.row[0], row[known])
+    assert projected.inside.all()
+    np.testing.assert_allclose(projected.depth_m, 2.0)
 
 
 def test_what_is_behind_or_aside_falls_nowhere_and_sees_nothing(views):
     T = poses(STAND, [0, np.pi, 0, 0, 0, 0], [0, 0, 0, 9, 0, 0])
-    fallen = views.fall(views.sampled(0), T)
-    assert fallen.inside.all(axis=1).tolist() == [True, False, False]
-    assert not fallen.inside[1:].any()
-    depths_m, _ = views.look(np.array([0, 0, 0]), fallen)
+    projected = views.project_points(views.sampled(0), T)
+    assert projected.inside.all(axis=1).tolist() == [True, False, False]
+    assert not projected.inside[1:].any()
+    depths_m, _ = views.depth_at(np.array([0, 0, 0]), projected)
     np.testing.assert_array_equal(depths_m, np.repeat([[2.0], [0.0], [0.0]], 30, axis=1))
 
 
 def test_each_view_is_looked_at(views):
-    fallen = views.fall(views.sampled(0), poses(STAND, STAND))
-    depths_m, _ = views.look(np.array([0, 1]), fallen)
+    projected = views.project_points(views.sampled(0), poses(STAND, STAND))
+    depths_m, _ = views.depth_at(np.array([0, 1]), projected)
     np.testing.assert_array_equal(depths_m, np.repeat([[2.0], [3.0]], 30, axis=1))
 
 
 def test_own_points_fall_as_shared_ones_do(views):
     T = poses(STAND, [0.0, 0.1, 0.0, 0.2, 0.0, 0.1])
-    shared = views.fall(views.sampled(1), T)
-    own = views.fall(views.sampled(np.array([1, 1])), T)
+    shared = views.project_points(views.sampled(1), T)
+    own = views.project_points(views.sampled(np.array([1, 1])), T)
     for one, other in zip(shared, own, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-5)
 
@@ -68,7 +68,7 @@ def test_own_points_fall_as_shared_ones_do(views):
 def test_surfaces_are_where_points_fall(views):
     points, normals = views.surface(0)
     np.testing.assert_allclose(normals, np.tile([0.0, 0.0, -1.0], (30, 1)))
-    there, facing = views.surface_there(np.array([0]), views.fall(points, poses(STAND)))
+    there, facing = views.surface_at(np.array([0]), views.project_points(points, poses(STAND)))
     np.testing.assert_allclose(there[0].T, points, atol=1e-6)
     np.testing.assert_allclose(facing[0].T, normals)
 

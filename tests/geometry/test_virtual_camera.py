@@ -52,7 +52,7 @@ def test_holes_of_a_slanted_plane_are_closed_on_it_and_edges_are_not():
 
 
 def test_an_empty_cloud_is_a_blind_frame():
-    seen = CloudCamera().look(1.5, np.empty((0, 3)), np.eye(4))
+    seen = CloudCamera().observe(1.5, np.empty((0, 3)), np.eye(4))
     assert seen.frame.stamp_s == 1.5
     assert not seen.frame.depth.any()
 
@@ -60,21 +60,21 @@ def test_an_empty_cloud_is_a_blind_frame():
 def test_a_cloud_of_a_depth_camera_is_seen_from_where_it_was_taken():
     camera = CloudCamera()
     T_odom_camera = se3.exp(np.array([0.1, 2.0, 0.3, 1.0, 2.0, 3.0]))
-    frame, T_camera_view = camera.look(0.0, CLOUD, T_odom_camera)
+    frame, T_camera_view = camera.observe(0.0, CLOUD, T_odom_camera)
     np.testing.assert_array_equal(T_camera_view, np.eye(4))
     assert (frame.depth > 0).mean() > 0.93
     half_width = 0.5 * frame.intrinsics.width / frame.intrinsics.fx
     assert half_width == pytest.approx(80.0 / 146.25, rel=0.03)
-    again, _ = camera.look(1.0, CLOUD[::7], T_odom_camera)
+    again, _ = camera.observe(1.0, CLOUD[::7], T_odom_camera)
     assert again.intrinsics == frame.intrinsics
 
 
 def test_one_from_all_around_is_seen_the_same_way_however_the_sensor_turns():
     cloud = sphere(60000) + np.array([0.5, 0.2, -0.3])
     camera = CloudCamera()
-    first = camera.look(0.0, cloud, np.eye(4))
+    first = camera.observe(0.0, cloud, np.eye(4))
     turned = se3.exp(np.array([0.2, 2.5, -0.1, 0.0, 0.0, 0.0]))
-    second = camera.look(1.0, se3.transform(se3.inverse(turned), cloud), turned)
+    second = camera.observe(1.0, se3.transform(se3.inverse(turned), cloud), turned)
     np.testing.assert_allclose((turned @ second.T_camera_view), np.eye(4), atol=1e-9)
     np.testing.assert_allclose(second.frame.depth, first.frame.depth, atol=1e-5)
     assert (first.frame.depth > 0).mean() > 0.9
@@ -88,7 +88,7 @@ def test_what_is_no_cloud(cloud):
 
 def test_points_that_are_not_finite_are_dropped():
     broken = np.vstack([CLOUD, np.full((50, 3), np.nan), [[np.inf, 0, 1]]])
-    found, wanted = (CloudCamera().look(0.0, cloud, np.eye(4)) for cloud in (broken, CLOUD))
+    found, wanted = (CloudCamera().observe(0.0, cloud, np.eye(4)) for cloud in (broken, CLOUD))
     np.testing.assert_array_equal(found.frame.depth, wanted.frame.depth)
 
 
@@ -98,7 +98,7 @@ def test_clouds_that_show_nothing_at_first_do_no_harm():
     for stamp_s, cloud in enumerate((np.empty((0, 3)), CLOUD[:5], CLOUD, CLOUD)):
         closer.process_points(float(stamp_s), cloud, T)
     np.testing.assert_allclose(closer.finish().poses, [T] * 4, atol=1e-6)
-    assert len(closer.keyframes) == 1
+    assert len(closer.map.keyframes) == 1
 
 
 def test_loops_are_closed_on_a_lidar_tour():
@@ -122,6 +122,6 @@ def test_loops_are_closed_on_a_lidar_tour():
     before = evaluation.ate(Trajectory(stamps_s, np.array(odometry)), reference)
     after = evaluation.ate(found, reference)
     assert n_lost == 0
-    assert sum(loop.kind == "loop" for loop in closer.loops) > 20
+    assert sum(loop.kind == "loop" for loop in closer.map.loops) > 20
     assert before.rmse_m > 0.15
     assert after.rmse_m < 0.04

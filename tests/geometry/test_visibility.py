@@ -36,28 +36,28 @@ def test_what_one_does_not_see_another_may(views, poses):
         return coverage(views, 0, np.array(ids), se3.inverse(poses[list(ids)]), TOLERANCE)
 
     left, both = of(1), of(1, 2)
-    assert left.compared < 0.6
-    assert both.compared > left.compared + 0.3
+    assert left.visible_ratio < 0.6
+    assert both.visible_ratio > left.visible_ratio + 0.3
     for found in (left, both):
-        assert found.seen > 0.98
-        assert found.blocking == found.blocked == 0.0
+        assert found.inlier_ratio > 0.98
+        assert found.free_space_violation == found.free_space_violation_reverse == 0.0
 
 
 def test_what_stands_before_is_told_both_ways(views):
     here = np.eye(4)[None]
     nearer = coverage(views, 3, np.array([0]), here, TOLERANCE)
-    assert nearer.blocking == pytest.approx(1.0)
-    assert (nearer.seen, nearer.blocked) == (0.0, 0.0)
+    assert nearer.free_space_violation == pytest.approx(1.0)
+    assert (nearer.inlier_ratio, nearer.free_space_violation_reverse) == (0.0, 0.0)
     farther = coverage(views, 0, np.array([3]), here, TOLERANCE)
-    assert farther.blocked == pytest.approx(1.0)
-    assert (farther.seen, farther.blocking) == (0.0, 0.0)
+    assert farther.free_space_violation_reverse == pytest.approx(1.0)
+    assert (farther.inlier_ratio, farther.free_space_violation) == (0.0, 0.0)
 
 
 def test_most_of_those_who_can_tell_decide_what_blocks(views):
     ids = np.array([0, 0, 3])
     found = coverage(views, 3, ids, np.tile(np.eye(4), (3, 1, 1)), TOLERANCE)
-    assert found.seen == 1.0  # by itself
-    assert found.blocking == pytest.approx(1.0)  # before what the two others see
+    assert found.inlier_ratio == 1.0  # by itself
+    assert found.free_space_violation == pytest.approx(1.0)  # before what the two others see
 
 
 def test_far_away_nothing_is_compared(views):

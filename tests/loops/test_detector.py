@@ -203,7 +203,7 @@ def test_views_are_found_again_and_where_they_are(rounds):
 
 
 def test_views_that_see_too_little_of_each_other_are_rejected(rounds):
-    params = LoopParams(max_index_difference=1, min_seen=0.99)
+    params = LoopParams(max_index_difference=1, min_inlier_ratio=0.99)
     (*_, last) = find_views(params, rounds)
     assert last.candidates
     for candidate in last.candidates:
@@ -212,7 +212,7 @@ def test_views_that_see_too_little_of_each_other_are_rejected(rounds):
 
 
 def test_views_are_held_to_time_consistency(rounds):
-    params = LoopParams(max_index_difference=1, tc=2, tc_required=2, top_k=1, min_seen=0.0)
+    params = LoopParams(max_index_difference=1, tc=2, tc_required=2, top_k=1, min_inlier_ratio=0.0)
     found = [f.candidates for f in find_views(params, rounds)]
     decisions = set()
     for query, candidates in enumerate(found):

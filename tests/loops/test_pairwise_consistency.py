@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams, circuit_errors
-from slam_bof.types import Loop
+from slam_bof.types import CandidateSource, EdgeKind, Loop
 
 
 @pytest.fixture
@@ -18,8 +20,18 @@ def loop(query_id, match_id, wrong=None):
     """A loop of the fixture: keyframe 10 + i stands where keyframe i stood."""
     T = se3.pose(np.eye(3), [0.2 * (query_id - 10 - match_id), 0.0, 0.0])
     return Loop(
-        query_id, match_id, T if wrong is None else T @ wrong, 1e5 * np.eye(6), "loop", "bag"
+        query_id,
+        match_id,
+        T if wrong is None else T @ wrong,
+        1e5 * np.eye(6),
+        EdgeKind.LOOP,
+        CandidateSource.BAG,
     )
+
+
+def admit(gate, loops, T_map_camera, components=None):
+    whole = np.zeros(len(T_map_camera), int)
+    return gate.admit(loops, T_map_camera, whole if components is None else components)
 
 
 def pairs(loops):
@@ -42,14 +54,14 @@ def test_a_wrong_loop_leaves_its_error_over(there_and_again):
 
 def test_a_loop_waits_for_a_second_one_that_agrees(there_and_again):
     gate = ConsistencyGate(ConsistencyParams())
-    assert gate.admit([loop(11, 1)], there_and_again[:12]) == []
-    assert pairs(gate.admit([loop(12, 3)], there_and_again[:13])) == [(11, 1), (12, 3)]
-    assert pairs(gate.admit([loop(13, 3)], there_and_again[:14])) == [(13, 3)]
+    assert admit(gate, [loop(11, 1)], there_and_again[:12]) == []
+    assert pairs(admit(gate, [loop(12, 3)], there_and_again[:13])) == [(11, 1), (12, 3)]
+    assert pairs(admit(gate, [loop(13, 3)], there_and_again[:14])) == [(13, 3)]
 
 
 def test_loops_of_the_same_keyframe_are_no_witnesses(there_and_again):
     gate = ConsistencyGate(ConsistencyParams())
-    assert gate.admit([loop(11, 1), loop(11, 2)], there_and_again[:12]) == []
+    assert admit(gate, [loop(11, 1), loop(11, 2)], there_and_again[:12]) == []
 
 
 @pytest.mark.parametrize(
@@ -65,21 +77,36 @@ def test_a_wrong_loop_is_never_admitted_and_harms_no_true_one(there_and_again, w
     admitted = []
     for i in range(1, 6):
         loops = [loop(10 + i, i)] + ([loop(13, 6, wrong)] if i == 3 else [])
-        admitted += gate.admit(loops, there_and_again[: 11 + i])
+        admitted += admit(gate, loops, there_and_again[: 11 + i])
     assert sorted(pairs(admitted)) == [(10 + i, i) for i in range(1, 6)]
 
 
 def test_old_witnesses_do_not_count(there_and_again):
     gate = ConsistencyGate(ConsistencyParams(window=3))
-    gate.admit([loop(11, 1)], there_and_again[:12])
-    assert gate.admit([loop(15, 5)], there_and_again[:16]) == []
+    admit(gate, [loop(11, 1)], there_and_again[:12])
+    assert admit(gate, [loop(15, 5)], there_and_again[:16]) == []
 
 
 def test_more_witnesses_can_be_required_and_none_turns_it_off(there_and_again):
     strict = ConsistencyGate(ConsistencyParams(n_required=2))
-    assert strict.admit([loop(11, 1)], there_and_again[:12]) == []
-    assert strict.admit([loop(12, 2)], there_and_again[:13]) == []
-    third = strict.admit([loop(13, 3)], there_and_again[:14])
+    assert admit(strict, [loop(11, 1)], there_and_again[:12]) == []
+    assert admit(strict, [loop(12, 2)], there_and_again[:13]) == []
+    third = admit(strict, [loop(13, 3)], there_and_again[:14])
     assert sorted(pairs(third)) == [(11, 1), (12, 2), (13, 3)]
     off = ConsistencyGate(ConsistencyParams(n_required=0))
-    assert pairs(off.admit([loop(11, 1)], there_and_again[:12])) == [(11, 1)]
+    assert pairs(admit(off, [loop(11, 1)], there_and_again[:12])) == [(11, 1)]
+
+
+def test_loops_inside_different_components_do_not_support_each_other(there_and_again):
+    """The poses of two components may by chance make two wrong loops agree."""
+    components = np.repeat([0, 1], [10, len(there_and_again) - 10])
+    inside_first, inside_second = loop(9, 1), loop(19, 12)
+    T = there_and_again
+    inside_first = replace(inside_first, T_match_query=se3.inverse(T[1]) @ T[9])
+    inside_second = replace(inside_second, T_match_query=se3.inverse(T[12]) @ T[19])
+    gate = ConsistencyGate(ConsistencyParams(window=20))
+    assert admit(gate, [inside_first], T[:10]) == []
+    assert admit(gate, [inside_second], T, components) == []
+    gate = ConsistencyGate(ConsistencyParams(window=20))
+    assert admit(gate, [inside_first], T[:10]) == []
+    assert pairs(admit(gate, [inside_second], T)) == [(9, 1), (19, 12)]

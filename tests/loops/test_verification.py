@@ -39,12 +39,12 @@ class CentroidVerifier:
         )
 
 
-def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND, parts=None):
+def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND, components=None):
     verification = LoopVerification(verifier, params)
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]])
     for offset_m in (0.0, 0.0, shift_m):
         verification.add(UNSEEN, points + np.array([offset_m, 0.0, 0.0]))
-    found = verification.verify([candidate], T_map_camera, parts=parts)
+    found = verification.verify([candidate], T_map_camera, components=components)
     return found.candidates[0], found.admitted
 
 
@@ -114,13 +114,13 @@ def test_a_long_way_round_allows_for_more_drift():
 def test_the_gap_between_parts_of_the_map_is_no_way_round():
     elsewhere = STAND.copy()
     elsewhere[1, 0, 3] = 5.0
-    for parts, decision in (([0, 0, 0], "accepted"), ([0, 1, 0], "rejected")):
+    for components, decision in (([0, 0, 0], "accepted"), ([0, 1, 0], "rejected")):
         judged, _ = verify(
             CentroidVerifier(),
             candidate(),
             shift_m=0.9,
             T_map_camera=elsewhere,
-            parts=np.array(parts),
+            components=np.array(components),
         )
         assert judged.decision == decision
 

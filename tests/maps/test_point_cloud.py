@@ -12,7 +12,7 @@ import numpy as np
 import open3d
 import pytest
 
-from slam_bof.maps.point_cloud import write_views
+from slam_bof.maps.point_cloud import write_keyframe_cloud
 from slam_bof.types import DepthFrame, Intrinsics
 
 CAMERA = Intrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
@@ -25,7 +25,7 @@ def look(depth_mm: int) -> DepthFrame:
 
 def test_a_cloud_is_what_open3d_reads(tmp_path: Path) -> None:
     T = np.stack([np.eye(4), np.eye(4)])
-    n = write_views(tmp_path / "map.ply", [look(1500), look(2500)], T, voxel_size_m=0.05)
+    n = write_keyframe_cloud(tmp_path / "map.ply", [look(1500), look(2500)], T, voxel_size_m=0.05)
     cloud = open3d.io.read_point_cloud(str(tmp_path / "map.ply"))
     points, colors = np.asarray(cloud.points), np.asarray(cloud.colors)
     assert len(points) == len(colors) == n > 1000
@@ -37,7 +37,7 @@ def test_a_cloud_is_what_open3d_reads(tmp_path: Path) -> None:
 
 
 def test_nothing_seen_is_a_cloud_of_no_points(tmp_path: Path) -> None:
-    assert write_views(tmp_path / "map.ply", [look(0)], np.eye(4)[None]) == 0
+    assert write_keyframe_cloud(tmp_path / "map.ply", [look(0)], np.eye(4)[None]) == 0
     assert b"element vertex 0\n" in (tmp_path / "map.ply").read_bytes()
 
 
@@ -45,10 +45,10 @@ FULL = """
 import sys, signal
 from pathlib import Path
 import numpy as np
-from test_mapping import look
-from slam_bof.mapping import write_views
+from test_point_cloud import look
+from slam_bof.maps.point_cloud import write_keyframe_cloud
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-write_views(Path(sys.argv[1]), [look(1500)], np.eye(4)[None])
+write_keyframe_cloud(Path(sys.argv[1]), [look(1500)], np.eye(4)[None])
 """
 
 
@@ -56,7 +56,7 @@ write_views(Path(sys.argv[1]), [look(1500)], np.eye(4)[None])
 def test_a_cloud_that_has_no_room_is_one_error(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FULL, str(tmp_path / "map.ply")],
-        cwd=Path(__file__).parents[1],
+        cwd=Path(__file__).parent,
         env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
         capture_output=True,
         text=True,

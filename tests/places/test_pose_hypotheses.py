@@ -2,14 +2,14 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
-from slam_bof.places.pose_hypotheses import Witness, are_near, group_witnesses, mean_pose
+from slam_bof.places.pose_hypotheses import PoseHypothesis, are_near, group_hypotheses, mean_pose
 from slam_bof.types import Verification
 
 
-def witness(keyframe_id, tangent, information=None):
+def hypothesis(keyframe_id, tangent, information=None):
     information = np.eye(6) if information is None else information
     T = se3.exp(np.array(tangent, dtype=float))
-    return Witness(keyframe_id, T, Verification(True, "", T, 0.9, 0.01, information))
+    return PoseHypothesis(keyframe_id, T, Verification(True, "", T, 0.9, 0.01, information))
 
 
 def along_x(x):
@@ -17,8 +17,8 @@ def along_x(x):
 
 
 def test_witnesses_of_one_place_stand_together():
-    said = [witness(k, along_x(x)) for k, x in enumerate((0.0, 3.0, 0.1, 3.05))]
-    places = group_witnesses(said, 0.15, 0.1)
+    said = [hypothesis(k, along_x(x)) for k, x in enumerate((0.0, 3.0, 0.1, 3.05))]
+    places = group_hypotheses(said, 0.15, 0.1)
     assert [[w.keyframe_id for w in place] for place in places] == [[0, 2], [1, 3]]
 
 
@@ -29,7 +29,7 @@ def test_a_turn_alone_is_another_place():
 
 
 def test_who_knows_more_counts_more():
-    said = [witness(0, along_x(0.0), 3.0 * np.eye(6)), witness(1, along_x(0.4))]
+    said = [hypothesis(0, along_x(0.0), 3.0 * np.eye(6)), hypothesis(1, along_x(0.4))]
     np.testing.assert_allclose(mean_pose(np.eye(4), said), se3.exp(np.array(along_x(0.1))))
 
 
@@ -37,8 +37,8 @@ def test_each_direction_has_its_own_weight():
     """One knows only x, the other all but x: each is believed in what it knows."""
     knows_x = np.diag([1e-9, 1e-9, 1e-9, 1.0, 1e-9, 1e-9])
     said = [
-        witness(0, [0.0, 0.0, 0.0, 0.1, 0.5, 0.5], knows_x),
-        witness(1, [0.0, 0.0, 0.0, 0.5, 0.2, 0.0], np.eye(6) - knows_x),
+        hypothesis(0, [0.0, 0.0, 0.0, 0.1, 0.5, 0.5], knows_x),
+        hypothesis(1, [0.0, 0.0, 0.0, 0.5, 0.2, 0.0], np.eye(6) - knows_x),
     ]
     assert mean_pose(np.eye(4), said)[:3, 3] == pytest.approx([0.1, 0.2, 0.0], abs=1e-6)
 

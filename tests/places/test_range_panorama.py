@@ -28,25 +28,30 @@ def turned(points_level, yaw_rad):
     return (points_level @ Rotation.from_euler("y", yaw_rad).as_matrix()).astype(np.float32)
 
 
+def compare(panorama, spectra, query):
+    packed, steps = zip(*(panorama.pack(spectrum) for spectrum in spectra), strict=True)
+    return panorama.compare(np.stack(packed), np.array(steps), query)
+
+
 def test_a_view_is_most_like_itself(panorama):
     spectra = np.stack([panorama.spectrum(points(seed)) for seed in range(5)])
     for k, spectrum in enumerate(spectra):
-        scores = panorama.compare(spectra, spectrum)
+        scores = compare(panorama, spectra, spectrum)
         assert scores.argmax() == k
-        assert scores[k] == pytest.approx(1.0, abs=1e-5)
-        assert (scores < 1.0 + 1e-5).all()
+        assert scores[k] == pytest.approx(1.0, abs=2e-3)
+        assert (scores < 1.0 + 2e-3).all()
 
 
 @pytest.mark.parametrize("cells", [-15, -4, 1, 12])
 def test_a_turned_camera_sees_the_same(panorama, cells):
     here = turned(points(), np.radians(3.0) * cells)
-    assert panorama.compare(panorama.spectrum(points())[None], panorama.spectrum(here))[0] > 0.99
+    assert compare(panorama, panorama.spectrum(points())[None], panorama.spectrum(here))[0] > 0.99
 
 
 def test_a_step_ahead_shifts_ranges(panorama):
     there = points()
     same, nearer, other = (
-        panorama.compare(panorama.spectrum(there)[None], panorama.spectrum(p))[0]
+        compare(panorama, panorama.spectrum(there)[None], panorama.spectrum(p))[0]
         for p in (there, there * np.float32(12 ** (-1 / 40)), points(1))
     )
     assert nearer == pytest.approx(same - 0.04, abs=0.02)  # what a shift of one cell costs
@@ -70,14 +75,14 @@ def test_the_correlation_is_that_of_whole_spectra(panorama):
                 )
                 shifted = other * np.exp(2j * np.pi * phase)
                 best = max(best, float((one.conj() * shifted).sum().real) - 0.04 * abs(r))
-    assert panorama.compare(one[None], other)[0] == pytest.approx(best, abs=1e-5)
+    assert compare(panorama, one[None], other)[0] == pytest.approx(best, abs=2e-3)
 
 
 def test_many_views_are_compared_as_one_by_one(panorama):
     spectra = np.stack([panorama.spectrum(points(seed, 200)) for seed in range(300)])
-    scores = panorama.compare(spectra, spectra[7])
+    scores = compare(panorama, spectra, spectra[7])
     for k in (0, 7, 127, 128, 299):
-        (score,) = panorama.compare(spectra[k : k + 1], spectra[7])
+        (score,) = compare(panorama, spectra[k : k + 1], spectra[7])
         assert scores[k] == pytest.approx(score, abs=1e-6)
 
 
@@ -86,4 +91,4 @@ def test_nothing_in_range_is_like_nothing(panorama):
     far = panorama.spectrum(np.array([[0.0, 0.0, 50.0]], np.float32))
     assert not empty.any()
     assert not far.any()
-    assert panorama.compare(empty[None], panorama.spectrum(points()))[0] == 0.0
+    assert compare(panorama, empty[None], panorama.spectrum(points()))[0] == 0.0

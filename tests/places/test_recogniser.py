@@ -37,7 +37,7 @@ def recogniser(tour):
 def test_places_are_recognised_from_aside_and_on_the_side(recogniser, tour, query, expected):
     best, *rest = recogniser.recognise(query, N_ROUND)
     assert best.view_id == expected
-    assert best.seen > 0.45
+    assert best.inlier_ratio > 0.45
     _, poses = tour
     off = se3.inverse(poses[query]) @ poses[expected] @ best.T_match_query
     if query != 13:  # which sees a plain wall, along and about which nothing holds
@@ -68,13 +68,13 @@ def remember(tour, **params):
 
 
 def test_so_many_are_aligned_at_most(tour):
-    recogniser = remember(tour, n_aligned=4, n_plans=6)
+    recogniser = remember(tour, n_aligned=4, search={"n_compared": 6})
     for query in range(1, len(recogniser)):
         assert len(recogniser.recognise(query, query)) == min(query, 4)
 
 
 def test_matches_are_followed_to_views_that_nothing_else_leads_to(tour):
-    blind = {"n_plans": 1, "n_aligned": 6, "n_neighbours": 2}
+    blind = {"search": {"n_compared": 1}, "n_aligned": 6, "n_neighbours": 2}
     recogniser = remember(tour, **blind)
     recogniser.recognise(12, N_ROUND)  # sees what 1 does, and nothing else is compared
     assert len(recogniser.recognise(12, N_ROUND)) > 1
@@ -97,7 +97,7 @@ def test_an_empty_frame_is_like_nothing(tour):
     blind = DepthFrame(1.0, np.zeros_like(frame.depth), frame.intrinsics)
     query = recogniser.add(blind, np.eye(4))
     (match,) = recogniser.recognise(query, 1)
-    assert match.seen == 0.0
+    assert match.inlier_ratio == 0.0
     assert np.isfinite(match.T_match_query).all()
     assert len(recogniser) == 2
     assert recogniser.nbytes > 0
@@ -112,7 +112,7 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
     again = recogniser.add(frames[1], T_odom_camera[1])
     assert recogniser.recognise(again, N_ROUND)[0].view_id == 1
     before = recogniser.nbytes
-    recogniser.set_aside()
+    recogniser.deactivate()
     asking = recogniser.add(frames[12], T_odom_camera[12])
     assert (again, asking) == (N_ROUND, N_ROUND + 1)
     assert recogniser.nbytes - before < 40_000  # what is searched took its place
@@ -122,23 +122,23 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
     assert set(shortlist.view_ids) <= set(range(N_ROUND))
     assert recogniser.recognise(asking, asking)[0].view_id == 1
     agreement = recogniser.agreement(again, np.array([1]), np.eye(4)[None])
-    assert agreement.seen[0] > 0.99
+    assert agreement.inlier_ratio[0] > 0.99
 
 
 def test_a_guest_is_forgotten_and_follows_nothing(tour):
     frames, _ = tour
-    recogniser = remember(tour, n_plans=1)
+    recogniser = remember(tour, search={"n_compared": 1})
     recogniser.recognise(12, N_ROUND)  # which the next view would follow
     before = recogniser.nbytes
-    with recogniser.guest(frames[13]) as view_id:
+    with recogniser.temporary_query(frames[13]) as view_id:
         assert view_id == len(recogniser) - 1 == len(frames)
         alone = recogniser.recognise_alone(view_id, N_ROUND)
         assert [match.view_id for match in alone] == [6]
         assert 6 not in {m.view_id for m in recogniser.recognise_alone(view_id, 9, but=[6])}
-        assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).seen > 0.99
+        assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).inlier_ratio > 0.99
     assert len(recogniser) == len(frames)
     assert recogniser.nbytes == before
-    fresh = remember(tour, n_plans=1)
+    fresh = remember(tour, search={"n_compared": 1})
     fresh.recognise(12, N_ROUND)
     answers = (r.recognise(13, N_ROUND) for r in (recogniser, fresh))
     for a, b in zip(*answers, strict=True):
@@ -148,7 +148,7 @@ def test_a_guest_is_forgotten_and_follows_nothing(tour):
 def test_a_guest_is_forgotten_whatever_happens(tour):
     frames, _ = tour
     recogniser = remember(tour)
-    with pytest.raises(RuntimeError), recogniser.guest(frames[0]):
+    with pytest.raises(RuntimeError), recogniser.temporary_query(frames[0]):
         raise RuntimeError
     assert len(recogniser) == len(frames)
     assert recogniser.recognise(12, N_ROUND)[0].view_id == 1

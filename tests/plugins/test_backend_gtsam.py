@@ -1,3 +1,4 @@
+import gtsam
 import numpy as np
 import pytest
 
@@ -168,7 +169,7 @@ def test_an_unobserved_direction_is_left_to_odometry():
     assert np.abs(moved[:2]).max() < 1e-4
 
 
-def test_g2o_has_translation_first(drifted, tmp_path):
+def test_g2o_has_translation_first_and_information_of_quaternions(drifted, tmp_path):
     backend, truth, _ = drifted
     information = 1e2 * np.diag([1.0, 2.0, 3.0, 40.0, 50.0, 60.0])
     backend.add_loop(loop(truth, N, 0, information=information))
@@ -182,7 +183,29 @@ def test_g2o_has_translation_first(drifted, tmp_path):
     (closing,) = [e for e in edges if {e[1], e[2]} == {"0", str(N)}]
     upper = np.array(closing[10:], dtype=float)
     diagonal = upper[[0, 6, 11, 15, 18, 20]]
-    np.testing.assert_allclose(diagonal / diagonal[3], [40, 50, 60, 1, 2, 3], rtol=0.05)
+    np.testing.assert_allclose(diagonal / diagonal[3], [10, 12.5, 15, 1, 2, 3], rtol=0.05)
+
+
+def test_the_map_is_the_optimum_of_its_g2o_file(drifted, tmp_path):
+    backend, truth, _ = drifted
+    for k in range(6):
+        backend.add_loop(loop(truth, N - k, (N - k) % 3))
+    backend.update()
+    backend.optimize()
+    backend.write_g2o(tmp_path / "graph.g2o")
+    graph, values = gtsam.readG2o(str(tmp_path / "graph.g2o"), True)
+    per_quaternion = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])  # gtsam's reader does not convert
+    factors = gtsam.NonlinearFactorGraph()
+    for k in range(graph.size()):
+        edge = graph.at(k)
+        information = edge.noiseModel().information() * np.outer(per_quaternion, per_quaternion)
+        noise = gtsam.noiseModel.Gaussian.Information(information)
+        factors.add(gtsam.BetweenFactorPose3(*edge.keys(), edge.measured(), noise))
+    held = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
+    factors.add(gtsam.PriorFactorPose3(0, values.atPose3(0), held))
+    best = gtsam.LevenbergMarquardtOptimizer(factors, values).optimize()
+    poses = np.array([best.atPose3(k).matrix() for k in range(N + 1)])
+    np.testing.assert_allclose(poses, backend.poses(), atol=2e-3)
 
 
 def test_almost_rotations_do_no_harm():
@@ -246,3 +269,24 @@ def test_a_wrong_loop_does_not_hold_a_part_that_right_ones_joined(restarted):
     backend.add_loop(loop(truth, N + 7, 7, wrong=se3.pose(np.eye(3), [1.5, 0.0, 0.5])))
     backend.update()
     assert (backend.optimize() >= 0.5).tolist() == [True, True, True, True, False]
+
+
+def test_the_graph_goes_on_from_its_optimum_without_the_loops_left_out(drifted):
+    backend, truth, odometry = drifted
+    for k in range(1, 4):
+        backend.add_loop(loop(truth, N - k, 4 - k))
+    wrong = se3.pose(np.eye(3), [0.8, 0.0, 0.5])
+    backend.add_loop(loop(truth, N, 6, wrong=wrong))
+    backend.update()
+    weights = backend.optimize()
+    assert weights[-1] < 0.5
+    optimum = backend.poses()
+    step = se3.inverse(odometry[0]) @ odometry[1]
+    for k in range(3):
+        T = odometry[-1] @ np.linalg.matrix_power(step, k + 1)
+        backend.add_keyframe(Keyframe(N + 1 + k, N + 1 + k, N + 1.0 + k, T, EMPTY, None))
+        backend.update()
+    np.testing.assert_allclose(backend.poses()[: N + 1], optimum, atol=2e-3)
+    np.testing.assert_allclose(
+        backend.poses()[-1], optimum[-1] @ np.linalg.matrix_power(step, 3), atol=2e-3
+    )

@@ -92,4 +92,4 @@ def test_images_of_another_size_than_the_camera_are_refused(scene: Path) -> None
     assert "found 32x24 pixels, expected 1200x680 as NICE-SLAM, since there is no cam" in (
         refusal("replica", scene)
     )
-    assert "expected Replica as NICE-SLAM has it" in refusal("replica", scene.parent)
+    assert "expected Replica in NICE-SLAM's format" in refusal("replica", scene.parent)

@@ -164,7 +164,7 @@ def test_a_sequence_that_shows_nothing_leaves_everything_too(sequence, tmp_path)
     result = run(blinded(sequence, tmp_path / "room" / "seq-01", 12), tmp_path / "runs")
     assert {path.name for path in result.folder.iterdir()} == FILES
     assert result.metrics["n_frames"] == result.metrics["n_frames_lost"] == 12
-    assert result.metrics["n_keyframes"] == result.metrics["n_parts"] == 0
+    assert result.metrics["n_keyframes"] == result.metrics["n_components"] == 0
     assert len(read_tum(result.folder / "trajectory_optimized_tum.txt")) == 12
     assert b"element vertex 0\n" in (result.folder / "map.ply").read_bytes()
     assert "12 of 12 frames are lost" in (result.folder / "run.log").read_text()
@@ -242,7 +242,7 @@ def test_the_saved_configuration_holds_every_option_of_every_plugin(finished):
     saved = (finished.folder / "config.yaml").read_text()
     assert "max_points_per_voxel:" in saved
     assert "cauchy:" in saved
-    assert "max_blocking:" in saved
+    assert "max_free_space_violation:" in saved
 
 
 def test_where_odometry_was_lost_is_told(tmp_path):
@@ -253,7 +253,7 @@ def test_where_odometry_was_lost_is_told(tmp_path):
     assert finished.metrics["n_odometry_lost"] == 1
     log = (finished.folder / "run.log").read_text()
     assert "frame 12: odometry lost" in log
-    assert "frame 16: odometry found" in log
+    assert "frame 16: odometry recovered" in log
     with sqlite3.connect(finished.folder / "map.db") as db:
         frames = [row[0] for row in db.execute("SELECT frame_index FROM keyframes")]
     assert not set(frames) & set(range(12, 16))

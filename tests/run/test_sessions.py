@@ -19,7 +19,14 @@ from slam_bof.maps import MapLocalizer, merge_maps
 from slam_bof.run import read_run, run_sequence
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
-from slam_bof.store import MapStore, check_map, parts_of, prune_map, read_records, redundant
+from slam_bof.store import (
+    MapStore,
+    check_map,
+    components_of,
+    find_redundant_keyframes,
+    prune_map,
+    replay_keyframes,
+)
 from slam_bof.synthetic import Scene3D, make_room, spin, write_sequence
 from slam_bof.types import Trajectory
 
@@ -70,7 +77,7 @@ def test_a_second_session_joins_the_map_of_the_first(joined, sequences):
     assert (first.metrics["n_loops_across"], first.metrics["session"]) == (0, 0)
     assert second.metrics["session"] == 1
     assert second.metrics["n_loops_across"] > 4
-    assert second.metrics["n_parts"] == 1
+    assert second.metrics["n_components"] == 1
     assert error_m(map_file, sequences) < 0.03
     assert check_map(map_file) == []
     with MapStore.open(map_file) as store:
@@ -97,7 +104,7 @@ def test_a_run_s_folder_is_of_its_own_session(joined):
 def test_maps_are_merged_by_what_is_recognised(apart, sequences, tmp_path):
     out = tmp_path / "merged.db"
     merged = merge_maps(apart, out)
-    assert (merged.n_sessions, merged.n_parts) == (2, 1)
+    assert (merged.n_sessions, merged.n_components) == (2, 1)
     assert merged.n_loops_across > 4
     assert error_m(out, sequences) < 0.03
     assert check_map(out) == []
@@ -122,25 +129,27 @@ def test_a_pruned_map_stays_where_it_is_and_can_be_joined(joined, sequences, tmp
         before = {(k.session, k.frame_index): T for k, T in zip(
             store.keyframes(), store.map_poses(), strict=True
         )}  # fmt: skip
-        dropped = redundant(store, distance_m=0.2, angle_rad=0.3)
+        dropped = find_redundant_keyframes(store, distance_m=0.2, angle_rad=0.3)
         assert 0 < len(dropped) < len(before)
     size = map_file.stat().st_size
-    n = prune_map(map_file, lambda store: redundant(store, distance_m=0.2, angle_rad=0.3))
+    n = prune_map(
+        map_file, lambda store: find_redundant_keyframes(store, distance_m=0.2, angle_rad=0.3)
+    )
     assert n == len(dropped)
     assert map_file.stat().st_size < size
     assert check_map(map_file) == []
     with MapStore.open(map_file) as store:
         keyframes, poses = store.keyframes(), store.map_poses()
         assert [k.id for k in keyframes] == list(range(len(before) - n))
-        assert len(set(parts_of(store))) == 1
+        assert len(set(components_of(store))) == 1
         for keyframe, T in zip(keyframes, poses, strict=True):
             np.testing.assert_array_equal(T, before[keyframe.session, keyframe.frame_index])
         closer = LoopCloser.from_config(QUICK)
-        closer.restore(read_records(store))
-    errors = se3.inverse(closer.backend.poses()) @ poses
+        closer.restore(replay_keyframes(store))
+    errors = se3.inverse(closer.map.backend.poses()) @ poses
     assert np.linalg.norm(errors[:, :3, 3], axis=1).max() < 0.01
     again = run_sequence(sequences[0], QUICK, tmp_path, map_file=map_file)
-    assert (again.metrics["n_parts"], again.metrics["session"]) == (1, 2)
+    assert (again.metrics["n_components"], again.metrics["session"]) == (1, 2)
     assert again.metrics["ate_m"] < 0.03
 
 
@@ -159,16 +168,16 @@ def test_the_map_says_where_a_frame_was_taken(joined, sequences):
     places = MapLocalizer.open(map_file)
     frame = sequences[0].frame(21)
     located = places.localize(frame)
-    assert located.found.is_known, located.found.reason
+    assert located.localization.is_known, located.localization.reason
     truth = read_run(runs[0].folder).optimized.poses[21]
-    off = se3.inverse(truth) @ located.found.T_map_camera
+    off = se3.inverse(truth) @ located.localization.T_map_camera
     assert np.linalg.norm(off[:3, 3]) < 0.05
     assert located.keyframe is not None
     assert located.room == (located.keyframe.smoothed or located.keyframe.scene).label
     blank = replace(frame, depth=np.zeros_like(frame.depth))
-    assert not places.localize(blank).found.is_known
+    assert not places.localize(blank).localization.is_known
     other = replace(frame, intrinsics=replace(frame.intrinsics, fx=500.0))
-    with pytest.raises(DatasetError, match="expected one of the map's camera"):
+    with pytest.raises(DatasetError, match="expected the map's camera"):
         places.localize(other)
 
 

@@ -6,18 +6,18 @@ from slam_bof.scenes.height_profile import (
     LEVEL_STEP_M,
     N_HEIGHTS,
     N_LEVELS,
-    N_PROFILE,
+    N_PROFILE_VALUES,
     N_TILTS,
     measure_profile,
 )
-from slam_bof.scenes.levelled_view import level_view
+from slam_bof.scenes.levelled_cloud import levelled_cloud
 
 LEVELS = slice(N_HEIGHTS * (N_TILTS + 1), N_HEIGHTS * (N_TILTS + 1) + N_LEVELS)
 
 
 def level_areas(**kwargs):
     """Return the square metres of level surface by height."""
-    return measure_profile(level_view(table_frame(**kwargs)))[LEVELS] ** 2
+    return measure_profile(levelled_cloud(table_frame(**kwargs)))[LEVELS] ** 2
 
 
 @pytest.mark.parametrize("table_m", [0.46, 0.74, 0.9])
@@ -37,7 +37,7 @@ def test_area_hardly_depends_on_distance():
 
 
 def test_an_empty_view_has_an_empty_profile():
-    profile = measure_profile(level_view(empty_frame()))
-    assert profile.shape == (N_PROFILE,)
+    profile = measure_profile(levelled_cloud(empty_frame()))
+    assert profile.shape == (N_PROFILE_VALUES,)
     assert profile.dtype == np.float32
-    assert np.flatnonzero(profile).tolist() == [N_PROFILE - 3]  # the height that is guessed
+    assert np.flatnonzero(profile).tolist() == [N_PROFILE_VALUES - 3]  # the height that is guessed

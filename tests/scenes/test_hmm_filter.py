@@ -7,14 +7,18 @@ import itertools
 import numpy as np
 import pytest
 
-from slam_bof.scenes import UNKNOWN, SceneFilter, SceneFilterParams
-from slam_bof.scenes.hmm_filter import decide
+from slam_bof.scenes import UNKNOWN_LABEL, SceneFilter, SceneFilterParams
+from slam_bof.scenes.hmm_filter import most_probable_scene
 from slam_bof.scenes.hmm_smoother import place_evidence, smooth
 from slam_bof.types import Scene
 
 CLASSES = ("bath", "kitchen", "office")
 PARAMS = SceneFilterParams(
-    stay_s=20.0, stay_m=4.0, evidence=0.7, smoothing_evidence=0.7, min_probability=0.0
+    mean_stay_s=20.0,
+    mean_stay_m=4.0,
+    evidence_exponent=0.7,
+    smoothing_evidence_exponent=0.7,
+    min_probability=0.0,
 )
 
 
@@ -38,10 +42,12 @@ def posterior(walk, n: int) -> np.ndarray:
     for path in itertools.product(range(3), repeat=n):
         chance = 1.0
         for k, room in enumerate(path):
-            chance *= scenes[k].probabilities[room] ** PARAMS.evidence
+            chance *= scenes[k].probabilities[room] ** PARAMS.evidence_exponent
             if k:
                 metres = np.linalg.norm(positions_m[k] - positions_m[k - 1])
-                rooms = (stamps_s[k] - stamps_s[k - 1]) / PARAMS.stay_s + metres / PARAMS.stay_m
+                rooms = (
+                    stamps_s[k] - stamps_s[k - 1]
+                ) / PARAMS.mean_stay_s + metres / PARAMS.mean_stay_m
                 chance *= np.exp(-rooms) if room == path[k - 1] else (1 - np.exp(-rooms)) / 2
         for k, room in enumerate(path):
             total[k, room] += chance
@@ -73,7 +79,10 @@ def test_a_single_slip_is_mended_and_a_change_is_kept():
     scenes = scenes_of(np.array([bath] * 4 + [kitchen] + [bath] * 4 + [kitchen] * 9))
     n = len(scenes)
     found = smooth(
-        scenes, np.arange(n) / 2, np.zeros((n, 3)), SceneFilterParams(smoothing_evidence=0.8)
+        scenes,
+        np.arange(n) / 2,
+        np.zeros((n, 3)),
+        SceneFilterParams(smoothing_evidence_exponent=0.8),
     )
     assert [scene.label for scene in found] == ["bath"] * 9 + ["kitchen"] * 9
 
@@ -94,10 +103,10 @@ def test_far_away_is_another_room_and_an_unknown_way_is_none():
     assert whole[1].probabilities[0] == pytest.approx(after(0.0))
 
 
-def test_sessions_and_parts_know_nothing_of_each_other(walk):
+def test_sessions_and_components_know_nothing_of_each_other(walk):
     scenes, stamps_s, positions_m = walk
     axes = np.tile([0.0, 0.0, 1.0], (5, 1))
-    apart = {"sessions": [0, 0, 1, 1, 1], "parts": [0, 0, 1, 1, 1]}
+    apart = {"sessions": [0, 0, 1, 1, 1], "components": [0, 0, 1, 1, 1]}
     whole = smooth(scenes, stamps_s, positions_m, PARAMS, axes=axes, **apart)
     for part in (slice(0, 2), slice(2, 5)):
         alone = smooth(scenes[part], stamps_s[part], positions_m[part], PARAMS, axes=axes[part])
@@ -110,17 +119,19 @@ def test_evidence_goes_where_one_looks_and_none_is_lost():
     logs, positions_m = rng.normal(size=(40, 3)), rng.uniform(0.0, 3.0, (40, 3))
     positions_m[7] = np.nan
     looks_m = positions_m + np.array([0.0, 1.0, 0.0])
-    parts = np.arange(40) % 2
-    placed = place_evidence(logs, looks_m, positions_m, parts, 0.3)
+    components = np.arange(40) % 2
+    placed = place_evidence(logs, looks_m, positions_m, components, 0.3)
     for part in (0, 1):
-        np.testing.assert_allclose(placed[parts == part].sum(axis=0), logs[parts == part].sum(0))
+        np.testing.assert_allclose(
+            placed[components == part].sum(axis=0), logs[components == part].sum(0)
+        )
     np.testing.assert_array_equal(placed[7], logs[7])
     # A narrow spread is the nearest one.
-    ids = np.flatnonzero((parts == 0) & np.isfinite(positions_m[:, 0]))
+    ids = np.flatnonzero((components == 0) & np.isfinite(positions_m[:, 0]))
     distances_m = np.linalg.norm(looks_m[ids, None] - positions_m[None, ids], axis=2)
     expected = np.zeros_like(logs)
     np.add.at(expected, ids[distances_m.argmin(axis=1)], logs[ids])
-    narrow = place_evidence(logs, looks_m, positions_m, parts, 1e-3)
+    narrow = place_evidence(logs, looks_m, positions_m, components, 1e-3)
     np.testing.assert_allclose(narrow[ids], expected[ids], atol=1e-9)
 
 
@@ -150,9 +161,9 @@ def test_looking_through_the_door_is_not_yet_to_be_there():
 
 def test_too_little_is_unknown():
     p = np.array([0.5, 0.3, 0.2])
-    assert decide(p, CLASSES, 0.5).label == "bath"
-    scene = decide(p, CLASSES, 0.51)
-    assert (scene.label, scene.probability) == (UNKNOWN, 0.5)
+    assert most_probable_scene(p, CLASSES, 0.5).label == "bath"
+    scene = most_probable_scene(p, CLASSES, 0.51)
+    assert (scene.label, scene.probability) == (UNKNOWN_LABEL, 0.5)
 
 
 def test_a_certain_classifier_does_not_break_it():

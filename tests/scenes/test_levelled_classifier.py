@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 from levelled_scene import empty_frame, table_frame
 
-from slam_bof.scenes import LevelScenes, look
-from slam_bof.scenes.mlp_ensemble import SceneNetwork
+from slam_bof.scenes import LevelledClassifier, levelled_features
+from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 
 
 def frames(seed, n=24):
@@ -21,9 +21,9 @@ def frames(seed, n=24):
 @pytest.fixture(scope="module")
 def scenes():
     seen = list(frames(0))
-    network = SceneNetwork(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
-    views, labels = [look(frame) for frame, _ in seen], [label for _, label in seen]
-    return LevelScenes.learn(views, labels, n_words=30, network=network)
+    network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
+    views, labels = [levelled_features(frame) for frame, _ in seen], [label for _, label in seen]
+    return LevelledClassifier.fit(views, labels, n_words=30, network=network)
 
 
 def test_unseen_views_are_labelled(scenes):
@@ -40,19 +40,19 @@ def test_nothing_seen_is_labelled_too(scenes):
 
 
 def test_description_and_arrays_tell_all(scenes):
-    again = LevelScenes.from_arrays(scenes.description(), scenes.arrays())
+    again = LevelledClassifier.from_arrays(scenes.manifest(), scenes.arrays())
     frame, _ = next(frames(2))
     np.testing.assert_array_equal(
         again.label(frame).probabilities, scenes.label(frame).probabilities
     )
-    assert again.description() == scenes.description()
+    assert again.manifest() == scenes.manifest()
 
 
 @pytest.mark.parametrize("name", ["words", "temperature", "mean", "hidden", "out_bias"])
 def test_arrays_that_do_not_fit_are_refused(scenes, name):
     arrays = scenes.arrays()
     with pytest.raises(ValueError, match="levels/"):
-        LevelScenes.from_arrays(scenes.description(), arrays | {name: np.zeros((3, 3, 3))})
+        LevelledClassifier.from_arrays(scenes.manifest(), arrays | {name: np.zeros((3, 3, 3))})
     del arrays[name]
     with pytest.raises(KeyError):
-        LevelScenes.from_arrays(scenes.description(), arrays)
+        LevelledClassifier.from_arrays(scenes.manifest(), arrays)

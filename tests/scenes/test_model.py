@@ -14,9 +14,15 @@ import pytest
 
 from slam_bof.bof import LayerParams, PlaceParams
 from slam_bof.errors import ModelError
-from slam_bof.scenes import Descriptors, LevelledView, SceneClassifier, fit_model, model as models
-from slam_bof.scenes.height_profile import N_PROFILE
-from slam_bof.scenes.shape_words import N_SHAPE
+from slam_bof.scenes import (
+    FrameDescriptors,
+    LevelledFeatures,
+    SceneClassifier,
+    fit_model,
+    model as models,
+)
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES
+from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 from slam_bof.synthetic import ROOM_KINDS, training_views
 
 PARAMS = PlaceParams(layers=LayerParams(n_layers=3))
@@ -31,15 +37,18 @@ def train(seed=0, scenes=None, labelled=True, levelled=False):
     labels = tuple("abc"[k] if labelled else None for k in kinds)
     groups = tuple(f"seq-{i // 6}" for i in range(n_frames))
     views = tuple(
-        LevelledView(np.full(N_PROFILE, k, np.float32), np.full((2, N_SHAPE), k + i, np.float32))
+        LevelledFeatures(
+            np.full(N_PROFILE_VALUES, k, np.float32),
+            np.full((2, N_SHAPE_VALUES), k + i, np.float32),
+        )
         for i, k in enumerate(kinds)
         if levelled
     )
-    described = Descriptors(
+    described = FrameDescriptors(
         values.reshape(-1, 180).astype(np.float32), np.full(n_frames, each), labels, groups, views
     )
     return fit_model(
-        described, PARAMS, n_words=12, seed=seed, trained_on="random shapes", scenes=scenes
+        described, PARAMS, n_words=12, seed=seed, trained_on="random shapes", bag_classifier=scenes
     )
 
 
@@ -77,7 +86,8 @@ def test_what_is_saved_is_what_is_loaded(tmp_path, scenes):
     np.testing.assert_array_equal(loaded.tf_idf.idf_, model.tf_idf.idf_)
     bag = model.tf_idf.bag(np.array([0, 3, 3, 7], np.int32))
     np.testing.assert_array_equal(
-        loaded.scenes.predict_bag(bag).probabilities, model.scenes.predict_bag(bag).probabilities
+        loaded.bag_classifier.predict_bag(bag).probabilities,
+        model.bag_classifier.predict_bag(bag).probabilities,
     )
 
 
@@ -90,20 +100,22 @@ def test_what_labels_levelled_views_is_kept_as_arrays(tmp_path, levelled):
     model = levelled
     models.save(model, tmp_path / "test.bof")
     loaded = models.load(tmp_path / "test.bof")
-    view = LevelledView(np.full(N_PROFILE, 1.0, np.float32), np.full((2, N_SHAPE), 5, np.float32))
-    expected, found = (m.levels.label_view(view) for m in (model, loaded))
+    view = LevelledFeatures(
+        np.full(N_PROFILE_VALUES, 1.0, np.float32), np.full((2, N_SHAPE_VALUES), 5, np.float32)
+    )
+    expected, found = (m.levelled_classifier.label_features(view) for m in (model, loaded))
     assert found.label == expected.label == "b"
     np.testing.assert_array_equal(found.probabilities, expected.probabilities)
-    assert loaded.labeller() is loaded.levels
+    assert loaded.labeller() is loaded.levelled_classifier
     models.save(loaded, tmp_path / "again.bof")
     assert (tmp_path / "again.bof").read_bytes() == (tmp_path / "test.bof").read_bytes()
 
 
 def test_levels_that_do_not_fit_are_no_model(tmp_path, levelled):
-    network = copy.copy(levelled.levels.network)
+    network = copy.copy(levelled.levelled_classifier.network)
     network.hidden_ = network.hidden_[:, :-1]
-    levels = replace(levelled.levels, network=network)
-    models.save(replace(levelled, levels=levels), tmp_path / "test.bof")
+    levels = replace(levelled.levelled_classifier, network=network)
+    models.save(replace(levelled, levelled_classifier=levels), tmp_path / "test.bof")
     with pytest.raises(ModelError, match=r"not as expected: levels/hidden must be"):
         models.load(tmp_path / "test.bof")
 
@@ -120,7 +132,7 @@ def test_the_same_training_gives_the_same_bytes_in_another_process(file, tmp_pat
         "t.models.save(t.train(), sys.argv[2])"
     )
     other = tmp_path / "other.bof"
-    here = str(Path(__file__).parents[1])
+    here = str(Path(__file__).parent)
     subprocess.run([sys.executable, "-c", program, here, str(other)], check=True)
     assert other.read_bytes() == file.read_bytes()
 
@@ -132,7 +144,7 @@ def test_another_seed_gives_another_hash(model):
 def test_a_model_needs_no_labels(tmp_path):
     models.save(train(labelled=False), tmp_path / "test.bof")
     loaded = models.load(tmp_path / "test.bof")
-    assert loaded.scenes is None
+    assert loaded.bag_classifier is None
     assert loaded.labeller() is None
 
 
@@ -239,15 +251,15 @@ def test_a_type_that_is_not_trusted_is_refused(file):
 
 
 def test_the_default_model_knows_synthetic_rooms_only():
-    model = models.load_default()
+    model = models.resolve()
     assert model.trained_on.startswith("synthetic rooms")
     assert model.vocabulary.words_.shape == (model.vocabulary.n_words, 180)
-    assert model.scenes is not None
-    assert len(model.scenes.classes_) >= 4
+    assert model.bag_classifier is not None
+    assert len(model.bag_classifier.classes_) >= 4
 
 
 def test_the_default_model_tells_rooms_it_has_not_seen():
-    labeller = models.load_default().labeller()
+    labeller = models.resolve().labeller()
     views = [(kind, f) for kind in ("bathroom", "corridor") for f in training_views(kind, 590, 3)]
     together = {kind: np.zeros(len(ROOM_KINDS)) for kind, _ in views}
     for kind, frame in views:

@@ -4,15 +4,15 @@ import pytest
 from slam_bof.bof import ContourParams, LayerParams, PlaceParams, descriptors
 from slam_bof.geometry import PointParams
 from slam_bof.scenes import (
-    Descriptors,
-    LevelledView,
+    FrameDescriptors,
+    LevelledFeatures,
     TrainingFrame,
     describe_frames,
     fit_model,
     train_model,
 )
-from slam_bof.scenes.height_profile import N_PROFILE
-from slam_bof.scenes.shape_words import N_SHAPE
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES
+from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 from slam_bof.types import DepthFrame, Intrinsics
 
 CAMERA = Intrinsics(width=40, height=30, fx=35.0, fy=35.0, cx=19.5, cy=14.5)
@@ -48,7 +48,7 @@ def test_a_model_tells_unseen_frames_apart():
     model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes")
     describer = model.describer()
     right = [
-        model.scenes.predict_bag(describer.describe(item.frame)).label == item.label
+        model.bag_classifier.predict_bag(describer.describe(item.frame)).label == item.label
         for item in frames(first=100)
     ]
     assert np.mean(right) > 0.9
@@ -79,11 +79,11 @@ def test_frames_are_described_in_order_and_reported():
 def test_of_some_frames_all_is_kept():
     described = describe_frames(frames(n=6), PARAMS, levelled=True)
     some = described.select([4, 1])
-    each = described.of_frames()
+    each = described.by_frame()
     np.testing.assert_array_equal(some.values, np.concatenate([each[4], each[1]]))
     assert some.counts.tolist() == [len(each[4]), len(each[1])]
     assert (some.labels, some.groups) == (("box", "cross"), ("room-1", "room-0"))
-    assert some.views == (described.views[4], described.views[1])
+    assert some.levelled == (described.levelled[4], described.levelled[1])
 
 
 def test_the_same_seed_gives_the_same_model():
@@ -97,9 +97,9 @@ def test_the_same_seed_gives_the_same_model():
 def test_frames_without_labels_teach_words_only():
     unlabelled = [TrainingFrame(item.frame) for item in frames()]
     alone = train_model(unlabelled, PARAMS, n_words=12, trained_on="boxes")
-    assert alone.scenes is None
+    assert alone.bag_classifier is None
     both = train_model([*unlabelled, *frames(first=40)], PARAMS, n_words=12, trained_on="boxes")
-    assert both.scenes.classes_.tolist() == ["box", "cross"]
+    assert both.bag_classifier.classes_.tolist() == ["box", "cross"]
 
 
 def test_too_few_frames_are_refused():
@@ -112,17 +112,20 @@ def test_too_few_frames_are_refused():
 def test_without_groups_confidence_is_learnt_on_stretches_of_time():
     """Neighbours are alike, but what a class looks like changes from stretch to stretch."""
 
-    def sweep(seed: int, n: int = 60) -> list[LevelledView]:
+    def sweep(seed: int, n: int = 60) -> list[LevelledFeatures]:
         rng = np.random.default_rng(seed)
-        places = np.repeat(rng.standard_normal((n // 12, N_PROFILE)), 12, axis=0)
+        places = np.repeat(rng.standard_normal((n // 12, N_PROFILE_VALUES)), 12, axis=0)
         places[:, 0] += seed % 2
         profiles = (places + 0.02 * rng.standard_normal(places.shape)).astype(np.float32)
-        return [LevelledView(profile, np.zeros((1, N_SHAPE), np.float32)) for profile in profiles]
+        return [
+            LevelledFeatures(profile, np.zeros((1, N_SHAPE_VALUES), np.float32))
+            for profile in profiles
+        ]
 
     values = np.random.default_rng(0).random((240, PARAMS.bof.n_values), np.float32)
     labels, none, counts = ("bath",) * 60 + ("hall",) * 60, ("",) * 120, np.full(120, 2)
-    described = Descriptors(values, counts, labels, none, (*sweep(0), *sweep(1)))
-    levels = fit_model(described, PARAMS, n_words=4, trained_on="sweeps").levels
-    fresh = [levels.label_view(v) for seed in range(2, 12) for v in sweep(seed)[::12]]
+    described = FrameDescriptors(values, counts, labels, none, (*sweep(0), *sweep(1)))
+    levels = fit_model(described, PARAMS, n_words=4, trained_on="sweeps").levelled_classifier
+    fresh = [levels.label_features(v) for seed in range(2, 12) for v in sweep(seed)[::12]]
     right = np.mean([s.label == ("bath", "hall")[k // 5 % 2] for k, s in enumerate(fresh)])
     assert np.mean([scene.probability for scene in fresh]) < right + 0.15

@@ -1,12 +1,11 @@
 """The script that tells how well frames are found again, on a sequence of a few frames."""
 
 import argparse
-import runpy
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
 
 from slam_bof.errors import DatasetError
 from slam_bof.places import Localization
@@ -16,8 +15,8 @@ from slam_bof.synthetic.writer import write_sequence
 
 
 @pytest.fixture(scope="module")
-def script():
-    return runpy.run_path(str(ROOT / "scripts" / "measure_localization"))
+def script(load_script):
+    return load_script("measure_localization")
 
 
 @pytest.fixture
@@ -44,31 +43,38 @@ def arguments(room, standpoint, tmp_path):
         every=5,
         queries=None,
         elsewhere=False,
-        preset="indoor",
+        config="indoor",
+        assignments=[],
+        max_frames=None,
+        json=True,
+        markdown=False,
         verbose=True,
     )
 
 
-def test_the_table_counts_what_is_found(script, arguments):
-    lines = list(script["measure"](arguments))
-    assert "2 queries, 2 of which see a mapped place" in lines[1]
-    assert "1.000 of these found within 10 cm and 10 degrees; 0 answers beyond" in lines[3]
-    assert "2 answered, 0 of them wrong" in lines[4]
-    assert [line.split(":")[0] for line in lines[-2:]] == [
-        f"frame {k}, sees the map" for k in (6, 7)
-    ]
+def test_the_table_counts_what_is_found(script, arguments, capsys):
+    script["measure"](arguments)
+    printed = capsys.readouterr()
+    row = json.loads(printed.out)
+    assert (row["n_queries"], row["n_seeing"], row["n_answered"], row["n_wrong"]) == (2, 2, 2, 0)
+    assert row["within_10"] == 1.0
+    answers = [line.split(":")[0] for line in printed.err.splitlines() if line.startswith("frame")]
+    assert answers == [f"frame {k}, sees the map" for k in (6, 7)]
 
 
-def test_what_is_answered_elsewhere_is_wrong(script, arguments):
+def test_an_answer_elsewhere_is_wrong(script, arguments, capsys):
     arguments.queries, arguments.elsewhere = arguments.sequence, True
-    assert "2 answered, 2 of them wrong" in list(script["measure"](arguments))[4]
+    script["measure"](arguments)
+    row = json.loads(capsys.readouterr().out)
+    assert (row["n_answered"], row["n_wrong"]) == (2, 2)
+    assert row["within_10"] is None
 
 
 def test_a_sequence_without_truth_is_refused_in_words(script, arguments):
     for file in Path(arguments.sequence).glob("*.pose.txt"):
         file.unlink()
     with pytest.raises(DatasetError, match="found no ground truth"):
-        list(script["measure"](arguments))
+        script["measure"](arguments)
 
 
 @pytest.mark.parametrize(

@@ -142,13 +142,13 @@ def test_parts_given_in_part_keep_the_defaults_of_their_place(tmp_path: Path) ->
         "loops: {recogniser: {alignment: {n_rounds: 2}}}\n"
         "verifier: {name: projective, options: {alignment: {n_iterations: 9}}}\n"
     )
-    given, usual = config.complete(config.load(file)), config.complete(config.preset("indoor"))
-    tracking = usual.tracking.alignment.model_copy(update={"n_iterations": 5})
+    given, reference = config.complete(config.load(file)), config.complete(config.preset("indoor"))
+    tracking = reference.tracking.alignment.model_copy(update={"n_iterations": 5})
     assert tracking.n_points != AlignmentParams().n_points
     assert given.tracking.alignment == tracking
-    recogniser = usual.loops.recogniser.alignment.model_copy(update={"n_rounds": 2})
+    recogniser = reference.loops.recogniser.alignment.model_copy(update={"n_rounds": 2})
     assert given.loops.recogniser.alignment == recogniser
-    found, expected = given.verifier.options, usual.verifier.options
+    found, expected = given.verifier.options, reference.verifier.options
     assert found == {**expected, "alignment": {**expected["alignment"], "n_iterations": 9}}
 
 
@@ -162,3 +162,36 @@ def test_a_data_set_takes_options() -> None:
         config.complete(wrong)
     with pytest.raises(PluginError, match="no datasets plug-in 'tmu'"):
         config.complete(config.override(Config(), ["dataset=tmu"]))
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "name"),
+    [
+        ("tracking: {less: 0.1}", "tracking.less", "max_inlier_drop"),
+        ("verification: {joining: {n_required: 2}}", "verification.joining", "component_joining"),
+        ("verifier: {name: projective, options: {alignment: {rest: 0}}}", "verifier", "min_step"),
+    ],
+)
+def test_a_key_of_an_earlier_version_is_refused_with_its_new_name(text, key, name):
+    with pytest.raises(ConfigError, match=f"my.yaml: unknown key '{key}.*its name is now '{name}'"):
+        config.parse(text, "my.yaml")
+
+
+def test_a_saved_configuration_of_an_earlier_version_is_read_by_its_new_names():
+    saved = config.parse_saved(
+        "tracking: {less: 0.15, alignment: {rest: 0.002}}\n"
+        "verification: {joining: {max_blocking: 0.1, near_m: 2.0}}\n"
+        "verifier: {name: projective, options: {max_blocking: 0.3}}\n",
+        "map.db",
+    )
+    assert saved.tracking.max_inlier_drop == 0.15
+    assert saved.tracking.alignment.min_step == 0.002
+    assert saved.verification.component_joining.max_free_space_violation == 0.1
+    assert saved.verification.component_joining.max_pair_distance_m == 2.0
+    assert saved.verifier.options == {"max_free_space_violation": 0.3}
+
+
+def test_every_renamed_key_exists_under_its_new_name():
+    dumped = config.dump(config.complete(config.preset("indoor")))
+    for name in config.RENAMED_KEYS.values():
+        assert re.search(rf"^ *{name}:", dumped, re.MULTILINE), name

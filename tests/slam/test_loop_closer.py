@@ -61,14 +61,14 @@ def three_rounds(look, standpoint, *assignments):
     for k, T in enumerate(poses):
         frame = replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 22))
         closer.process(frame, se3.inverse(poses[0]) @ T)
-    rounds = [k.frame_index // 22 for k in closer.keyframes]
-    return Counter((rounds[loop.query_id], rounds[loop.match_id]) for loop in closer.loops)
+    rounds = [k.frame_index // 22 for k in closer.map.keyframes]
+    return Counter((rounds[loop.query_id], rounds[loop.match_id]) for loop in closer.map.loops)
 
 
 def test_who_stands_where_another_stood_is_not_searched_for(look, standpoint):
     """But for the first of a round, whose loop still waits for another to agree."""
     found = three_rounds(look, standpoint)
-    without = three_rounds(look, standpoint, "loops.repeat_m=0")
+    without = three_rounds(look, standpoint, "loops.revisit_distance_m=0")
     assert found[1, 0] == without[1, 0] > 5
     assert without[2, 1] > 5
     assert found[2, 1] < without[2, 1]

@@ -13,7 +13,7 @@ from old_maps import write_old_map
 from saved_maps import CLASSES, make_candidate, make_keyframe, make_loop, save
 
 from slam_bof.errors import MapError
-from slam_bof.store import MapStore, read_records
+from slam_bof.store import MapStore, replay_keyframes
 from slam_bof.store.schema import SCHEMA_VERSION
 
 
@@ -95,7 +95,7 @@ def test_what_is_no_map_is_named(path: Path, tmp_path: Path) -> None:
     with pytest.raises(MapError, match="found no SQLite database"):
         MapStore.open(path)
     path.write_bytes(b"")
-    with pytest.raises(MapError, match="found no map in this database"):
+    with pytest.raises(MapError, match="found another program's database"):
         MapStore.open(path)
 
 
@@ -114,7 +114,7 @@ def test_an_older_map_is_upgraded(path: Path, version: int, read_only: bool) -> 
         assert region is None
         assert [session.sequence for session in store.sessions()] == ["flat/seq-01"]
         with pytest.raises(MapError, match="no depth image of keyframe 0"):
-            next(read_records(store))
+            next(replay_keyframes(store))
     assert (path.read_bytes() == before) == read_only
     with MapStore.open(path) as store:
         assert len(store.keyframes()) == 2

@@ -13,14 +13,14 @@ from saved_maps import (
     make_keyframe,
     make_loop,
     make_record,
-    make_thin,
+    make_subsampled,
     save,
 )
 
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
-from slam_bof.store import MapStore, Session, SessionResult, read_records
-from slam_bof.types import Bag, Candidate, FramePose, Scene
+from slam_bof.scenes import MapRoom
+from slam_bof.store import MapStore, Session, SessionResult, replay_keyframes
+from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
 
 @pytest.fixture
@@ -34,7 +34,9 @@ def filled(path: Path) -> Iterator[MapStore]:
     with MapStore.create(path) as store:
         for id_ in range(5):
             save(store, make_keyframe(id_))
-        rejected = Candidate(5, 3, "proximity", decision="rejected", reason="overlap 0.10")
+        rejected = Candidate(
+            5, 3, CandidateSource.PROXIMITY, decision=Decision.REJECTED, reason="overlap 0.10"
+        )
         edges = [make_loop(5, 0), make_loop(5, 4, "covisibility")]
         save(store, make_keyframe(5), [make_candidate(5, 0), rejected], edges)
         yield store
@@ -99,7 +101,7 @@ def test_depth_images_come_back_as_they_went_in(filled: MapStore) -> None:
     found = filled.view(5)
     assert found is not None
     assert (found.stamp_s, found.intrinsics) == (20 / 30.0, CAMERA)
-    np.testing.assert_array_equal(found.depth, make_thin(5).depth)
+    np.testing.assert_array_equal(found.depth, make_subsampled(5).depth)
     assert filled.intrinsics() == CAMERA
     assert filled.view(6) is None
 
@@ -128,10 +130,10 @@ def test_records_are_what_was_written(path: Path) -> None:
         store.begin_session(Session(0, "7scenes", "room/seq-01", "", 0, "1.0"))
         for record in records:
             store.write(record)
-        found = list(read_records(store))
+        found = list(replay_keyframes(store))
     for record, back in zip(records, found, strict=True):
         np.testing.assert_array_equal(back.keyframe.T_odom_camera, record.keyframe.T_odom_camera)
-        np.testing.assert_array_equal(back.thin.depth, record.thin.depth)
+        np.testing.assert_array_equal(back.depth.depth, record.depth.depth)
         assert len(back.frames) == len(record.frames)
         pairs = [[(loop.query_id, loop.match_id) for loop in r.admitted] for r in (back, record)]
         assert pairs[0] == pairs[1]
@@ -223,7 +225,7 @@ def test_the_views_are_readable(filled: MapStore) -> None:
 def test_smoothed_labels_and_rooms(path: Path) -> None:
     kitchen = Scene("kitchen", 0.7, CLASSES, np.array([0.7, 0.3]))
     unsure = Scene("unknown", 0.5, CLASSES, np.array([0.5, 0.5]))
-    region = Region(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
+    region = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
     with MapStore.create(path) as store:
         save(store, replace(make_keyframe(0), smoothed=unsure))
         save(store, make_keyframe(1))
@@ -248,8 +250,8 @@ def test_smoothed_labels_and_rooms(path: Path) -> None:
 
 
 def test_a_loop_that_was_held_is_accepted_when_it_is_added(path: Path) -> None:
-    held = Candidate(1, 0, "bag", decision="held", reason="no other agrees")
-    other = Candidate(1, 0, "proximity", decision="rejected", reason="overlap")
+    held = Candidate(1, 0, CandidateSource.BAG, decision=Decision.HELD, reason="no other agrees")
+    other = Candidate(1, 0, CandidateSource.PROXIMITY, decision=Decision.REJECTED, reason="overlap")
     with MapStore.create(path) as store:
         save(store, make_keyframe(0))
         save(store, make_keyframe(1), [held, other])
@@ -258,8 +260,8 @@ def test_a_loop_that_was_held_is_accepted_when_it_is_added(path: Path) -> None:
 
 
 def test_a_loop_that_is_left_out_is_rejected_with_the_reason(path: Path) -> None:
-    accepted = [Candidate(2, i, "view", decision="accepted") for i in (0, 1)]
-    held = Candidate(1, 0, "view", decision="held", reason="no other agrees")
+    accepted = [Candidate(2, i, CandidateSource.VIEW, decision=Decision.ACCEPTED) for i in (0, 1)]
+    held = Candidate(1, 0, CandidateSource.VIEW, decision=Decision.HELD, reason="no other agrees")
     loops = [replace(make_loop(2, i), source="view") for i in (0, 1)]
     with MapStore.create(path) as store:
         save(store, make_keyframe(0))

@@ -9,9 +9,9 @@ from saved_maps import save
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
-from slam_bof.scenes import Region
-from slam_bof.store import MapStore, SessionResult, query_keyframes, query_loops, query_regions
-from slam_bof.types import Bag, Keyframe, Loop, Scene
+from slam_bof.scenes import MapRoom
+from slam_bof.store import MapStore, SessionResult, query_keyframes, query_loops, query_rooms
+from slam_bof.types import Bag, CandidateSource, EdgeKind, Keyframe, Loop, Scene
 
 CLASSES = ("kitchen", "office")
 PROBABILITIES = [0.9, 0.6, 0.3, 0.1]
@@ -26,10 +26,10 @@ def store(tmp_path: Path) -> Iterator[MapStore]:
             T = se3.pose(np.eye(3), [float(id_), 0.0, 0.0])
             bag = Bag(np.array([id_], np.int32), np.ones(1, np.float32))
             edges = {
-                2: [Loop(2, 0, np.eye(4), np.eye(6), "loop", "bag")],
+                2: [Loop(2, 0, np.eye(4), np.eye(6), EdgeKind.LOOP, CandidateSource.BAG)],
                 3: [
-                    Loop(3, 0, T, np.eye(6), "loop", "proximity"),
-                    Loop(3, 2, T, np.eye(6), "covisibility", "proximity"),
+                    Loop(3, 0, T, np.eye(6), EdgeKind.LOOP, CandidateSource.PROXIMITY),
+                    Loop(3, 2, T, np.eye(6), EdgeKind.COVISIBILITY, CandidateSource.PROXIMITY),
                 ],
             }
             keyframe = Keyframe(id_, 30 * id_, 100.0 + id_, T, bag, scene)
@@ -73,7 +73,7 @@ def rooms(store: MapStore) -> MapStore:
     """The same, with smoothed labels of which one differs, and two rooms."""
     labels = [("kitchen", 0.9), ("kitchen", 0.8), ("kitchen", 0.7), ("unknown", 0.5)]
     box = ((1.0, 0.0, 0.0),) * 3
-    regions = [Region(0, "kitchen", 0.6, (0, 1), *box), Region(1, "kitchen", 0.7, (2,), *box)]
+    regions = [MapRoom(0, "kitchen", 0.6, (0, 1), *box), MapRoom(1, "kitchen", 0.7, (2,), *box)]
     poses = np.array([keyframe.T_odom_camera for keyframe in store.keyframes()])
     store.finish(0, SessionResult([], poses, [smoothed(*label) for label in labels], regions))
     return store
@@ -96,12 +96,12 @@ def test_a_probability_may_be_asked_for_without_a_scene(rooms: MapStore) -> None
 
 
 def test_where_the_kitchen_is(rooms: MapStore) -> None:
-    assert ids(query_regions(rooms)) == [0, 1]
-    assert ids(query_regions(rooms, scene="kitchen")) == [1, 0], "the most probable first"
-    assert ids(query_regions(rooms, min_probability=0.65)) == [1]
-    assert query_regions(rooms, scene="office") == []
+    assert ids(query_rooms(rooms)) == [0, 1]
+    assert ids(query_rooms(rooms, scene="kitchen")) == [1, 0], "the most probable first"
+    assert ids(query_rooms(rooms, min_probability=0.65)) == [1]
+    assert query_rooms(rooms, scene="office") == []
     with pytest.raises(MapError, match="found no scene 'attic'"):
-        query_regions(rooms, scene="attic")
+        query_rooms(rooms, scene="attic")
 
 
 def test_one_keyframe_with_all_that_is_known_of_it(store: MapStore) -> None:
@@ -147,7 +147,7 @@ def test_records_turn_into_json(store: MapStore) -> None:
 
 
 def test_what_the_map_has_not_got_is_named(store: MapStore) -> None:
-    with pytest.raises(MapError, match="found no keyframe 4, expected one of its 4"):
+    with pytest.raises(MapError, match="found no keyframe 4, expected 0 to 3"):
         query_keyframes(store, keyframe_id=4)
     with pytest.raises(
         MapError, match="found no scene 'attic', expected one of: kitchen, office, unknown"

@@ -14,7 +14,7 @@ import pytest
 from saved_maps import make_candidate, make_keyframe, make_loop, save
 
 from slam_bof.errors import MapError
-from slam_bof.store import CHECKED, MapStore, Session, check_map, read_records, recover_map
+from slam_bof.store import KEY_COLUMNS, MapStore, Session, check_map, recover_map, replay_keyframes
 from slam_bof.types import LOST
 
 VIEWS = ("loops", "loop_audit", "keyframe_labels")
@@ -46,7 +46,7 @@ def content(path: Path) -> Content:
     with MapStore.open(path) as store:
         return {
             name: [tuple(row) for row in store.select(f"SELECT * FROM {name}")]
-            for name in (*CHECKED, *VIEWS)
+            for name in (*KEY_COLUMNS, *VIEWS)
         }
 
 
@@ -103,7 +103,7 @@ def test_a_flipped_bit_is_named_or_does_no_harm(where: str, original: Path, path
 def test_a_damaged_layout_is_named_and_put_back(path: Path) -> None:
     expected = content(path)
     path.write_bytes(path.read_bytes().replace(b"round(overlap, 3)", b"round(overlap, 2)"))
-    assert "(view loop_audit); slam-bof map recover saves" in found_by(lambda: MapStore.open(path))
+    assert "(view loop_audit); slam-bof map recover copies" in found_by(lambda: MapStore.open(path))
     out = path.with_name("recovered.db")
     assert recover_map(path, out) == (9, 0)
     recovered = content(out)
@@ -119,7 +119,7 @@ def test_what_somebody_else_has_added_is_left_alone(path: Path) -> None:
 def test_a_keyframe_is_lost_with_all_that_names_it(path: Path) -> None:
     change(path, "UPDATE views SET depth = zeroblob(9) WHERE keyframe_id = 3")
     assert list(map(str, check_map(path))) == [
-        "depth image of keyframe 3: is not what was written: its checksum differs"
+        "depth image of keyframe 3: differs from what was written (checksum)"
     ]
     out = path.with_name("recovered.db")
     assert recover_map(path, out) == (8, 1)
@@ -127,7 +127,7 @@ def test_a_keyframe_is_lost_with_all_that_names_it(path: Path) -> None:
     with MapStore.open(out) as store:
         assert [k.frame_index for k in store.keyframes()] == [0, 4, 8, 16, 20, 24, 28, 32]
         assert [(loop.query_id, loop.match_id) for loop in store.loops()] == [(7, 0)]
-        assert len(list(read_records(store))) == 8
+        assert len(list(replay_keyframes(store))) == 8
 
 
 def test_a_damaged_frame_becomes_a_lost_one_and_shifts_no_other(path: Path) -> None:

@@ -57,7 +57,7 @@ def test_slips_are_mended(turn):
     assert far_m.max() < 0.03
     assert far_deg.max() < 1.0
     assert tracker.n_lost == 0
-    assert min(track.seen for track in tracks) > 0.5
+    assert min(track.inlier_ratio for track in tracks) > 0.5
 
 
 def test_a_covered_lens_is_a_loss_and_the_place_is_found_again(turn):
@@ -95,7 +95,7 @@ def test_what_is_usual_depends_on_the_sensor(turn):
     frames, truth = turn
     poor = [noisy(frame, 0.07) for frame in frames]
     tracker, tracks = follow([*poor, covered(frames[-1])], np.concatenate([truth, truth[-1:]]))
-    assert max(track.seen for track in tracks[1:-1]) < 0.65
+    assert max(track.inlier_ratio for track in tracks[1:-1]) < 0.65
     assert [track.is_lost for track in tracks] == [False] * N_FRAMES + [True]
     assert tracker.n_lost == 1
 
@@ -133,8 +133,8 @@ def test_a_verified_loop_joins_what_was_lost(rounds):
     steps = [closer.process(f, T) for f, T in zip(frames, odometry, strict=True)]
     trajectory = closer.finish()
     assert closer.n_odometry_lost == 1
-    assert closer.n_parts == 1
-    assert closer.keyframes[-1].segment == 1
+    assert closer.map.n_components == 1
+    assert closer.map.keyframes[-1].segment == 1
     joined = [loop for step in steps for loop in step.loops if loop.source == "view"]
     assert joined
     off = se3.inverse(se3.inverse(poses[0]) @ poses) @ trajectory.poses
@@ -154,6 +154,6 @@ def test_what_nothing_joins_stays_a_part_of_its_own(look, standpoint):
     for frame, T in zip(frames, odometry, strict=True):
         closer.process(frame, T)
     trajectory = closer.finish()
-    assert closer.n_parts == 2
+    assert closer.map.n_components == 2
     assert len(trajectory) == 12
     assert np.isfinite(trajectory.poses).all()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from slam_bof.core import open_dataset
-from slam_bof.visualization import Missed, find_misses, write_misses
-from slam_bof.visualization.misses_page import MAX_SHOWN, Miss
+from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
+from slam_bof.visualization.misses_page import MAX_SHOWN, MissedQuery
 
 
 @pytest.fixture(scope="module")
@@ -22,13 +22,18 @@ def test_misses_are_those_whose_best_answer_is_wrong():
     truth = np.zeros((4, 4), bool)
     truth[1, 0] = truth[2, 0] = truth[3, 0] = truth[3, 2] = True
     scores = np.array([[9, 9, 9, 9], [1, 9, 9, 9], [2, 3, 9, 9], [3, 5, 4, 9]], float)
-    assert find_misses(scores, truth, allowed) == (3, [Miss(2, 1, 0, 2), Miss(3, 1, 2, 2)])
-    assert find_misses(scores, ~allowed, allowed) == (0, [])
+    assert find_missed_queries(scores, truth, allowed) == (
+        3,
+        [MissedQuery(2, 1, 0, 2), MissedQuery(3, 1, 2, 2)],
+    )
+    assert find_missed_queries(scores, ~allowed, allowed) == (0, [])
 
 
 def test_the_page_shows_query_answer_and_what_was_right(dataset, tmp_path):
     file = tmp_path / "pages" / "misses.html"
-    write_misses(file, [Missed("ferns", dataset, [0, 1, 3], 2, [Miss(2, 1, 0, 7)])])
+    write_missed_queries(
+        file, [MissedQueries("ferns", dataset, [0, 1, 3], 2, [MissedQuery(2, 1, 0, 7)])]
+    )
     text = file.read_text("utf-8")
     assert "ferns on room/seq-01" in text
     assert "1 of 2 queries got a wrong answer." in text
@@ -47,8 +52,10 @@ def test_the_page_shows_query_answer_and_what_was_right(dataset, tmp_path):
 
 
 def test_of_many_misses_some_are_shown(dataset, tmp_path):
-    misses = [Miss(2, 1, 0, rank) for rank in range(2, 102)]
-    write_misses(tmp_path / "many.html", [Missed("bof", dataset, [0, 1, 3], 120, misses)])
+    misses = [MissedQuery(2, 1, 0, rank) for rank in range(2, 102)]
+    write_missed_queries(
+        tmp_path / "many.html", [MissedQueries("bof", dataset, [0, 1, 3], 120, misses)]
+    )
     text = (tmp_path / "many.html").read_text("utf-8")
     assert f"100 of 120 queries got a wrong answer; {MAX_SHOWN} of these are shown." in text
     assert text.count("<figcaption>query") == MAX_SHOWN

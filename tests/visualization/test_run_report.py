@@ -9,7 +9,18 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
-from slam_bof.types import Array, Bag, Candidate, Keyframe, Loop, Scene, Trajectory
+from slam_bof.types import (
+    Array,
+    Bag,
+    Candidate,
+    CandidateSource,
+    Decision,
+    EdgeKind,
+    Keyframe,
+    Loop,
+    Scene,
+    Trajectory,
+)
 from slam_bof.visualization import ReportData, write_report
 
 CLASSES = ("kitchen", "office")
@@ -53,15 +64,34 @@ def data() -> ReportData:
     keyframes = [make_keyframe(k, 4 * k, odometry.poses[4 * k]) for k in range(10)]
     T_0_9 = se3.inverse(truth.poses[0]) @ truth.poses[36]
     loops = [
-        Loop(9, 0, T_0_9, np.eye(6), "loop", "bag"),
-        Loop(8, 0, np.eye(4), np.eye(6), "loop", "proximity"),
-        Loop(9, 8, np.eye(4), np.eye(6), "covisibility", "proximity"),
+        Loop(9, 0, T_0_9, np.eye(6), EdgeKind.LOOP, CandidateSource.BAG),
+        Loop(8, 0, np.eye(4), np.eye(6), EdgeKind.LOOP, CandidateSource.PROXIMITY),
+        Loop(9, 8, np.eye(4), np.eye(6), EdgeKind.COVISIBILITY, CandidateSource.PROXIMITY),
     ]
     candidates = [
-        Candidate(9, 0, "bag", eta=0.9, overlap=0.7, decision="accepted", reason="overlap 0.70"),
-        Candidate(9, 1, "bag", eta=np.inf, decision="rejected", reason="eta too good"),
-        Candidate(9, 2, "proximity", overlap=0.1, decision="rejected", reason="overlap 0.10"),
-        Candidate(9, 8, "proximity", kind="covisibility", decision="accepted"),
+        Candidate(
+            9,
+            0,
+            CandidateSource.BAG,
+            eta=0.9,
+            overlap=0.7,
+            decision=Decision.ACCEPTED,
+            reason="overlap 0.70",
+        ),
+        Candidate(
+            9, 1, CandidateSource.BAG, eta=np.inf, decision=Decision.REJECTED, reason="eta too good"
+        ),
+        Candidate(
+            9,
+            2,
+            CandidateSource.PROXIMITY,
+            overlap=0.1,
+            decision=Decision.REJECTED,
+            reason="overlap 0.10",
+        ),
+        Candidate(
+            9, 8, CandidateSource.PROXIMITY, kind=EdgeKind.COVISIBILITY, decision=Decision.ACCEPTED
+        ),
     ]
     poses = truth.poses.copy()
     poses[20:25] = np.nan
@@ -96,7 +126,7 @@ def without_library(html: str) -> str:
 def test_the_page_has_every_figure(tmp_path: Path, data: ReportData) -> None:
     html = write(tmp_path, data)
     assert headings(html) == [
-        "Trajectory", "Position error", "Loop candidates", "Scene labels", "Time", "All figures",
+        "Trajectory", "Position error", "Loop candidates", "Scene labels", "Time", "All metrics",
     ]  # fmt: skip
     assert set(plots(html)) == {
         "top-view", "space-view", "errors", "candidates", "labels", "stages",
@@ -125,7 +155,7 @@ def test_candidates_show_the_decision_and_its_reason(tmp_path: Path, data) -> No
 
 def test_labels_are_compared_with_the_truth(tmp_path: Path, data: ReportData) -> None:
     traces = {t["name"]: t for t in plots(write(tmp_path, data))["labels"]}
-    assert len(traces["predicted, right"]["text"]) == 5
+    assert len(traces["predicted, correct"]["text"]) == 5
     assert len(traces["predicted, wrong"]["text"]) == 4
     assert len(traces["predicted"]["text"]) == 1
     assert len(traces["true"]["y"]) == 9
@@ -137,7 +167,7 @@ def test_metrics_are_written_for_people(tmp_path: Path, data: ReportData) -> Non
     assert "7scenes · 40 frames · 1.3 s · 10 keyframes · slam_bof 0.1.0 · seed 0" in html
     assert '<div class="value">0.052 m</div>' in html
     assert "odometry alone: 0.081 m" in html
-    assert '<div class="value unknown">not known</div>' in html
+    assert '<div class="value unknown">unknown</div>' in html
     assert "<tr><th>ATE with loops (RMSE)</th><td>0.0523 m</td></tr>" in html
     assert "<tr><th>n_surprises</th><td>3</td></tr>" in html
     assert "None" not in html
@@ -160,7 +190,7 @@ def test_a_run_without_truth_loops_or_labels(tmp_path: Path, data: ReportData) -
     html = write(tmp_path, bare)
     assert headings(html) == ["Trajectory"]
     assert "Unnamed sequence" in html
-    assert "No ground truth is known" in html
+    assert "The ground truth of this sequence is unknown" in html
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
@@ -175,7 +205,9 @@ def test_runs_of_hardly_any_frames(tmp_path: Path, data: ReportData, n: int) -> 
 
 def test_names_from_outside_are_text_and_not_html(tmp_path: Path, data: ReportData) -> None:
     evil = "</script><script>alert(1)</script>"
-    candidate = Candidate(0, 0, "bag", eta=1.0, decision="rejected", reason=evil)
+    candidate = Candidate(
+        0, 0, CandidateSource.BAG, eta=1.0, decision=Decision.REJECTED, reason=evil
+    )
     metrics = {**METRICS, "sequence": evil, evil: evil}
     html = write(tmp_path, replace(data, metrics=metrics, candidates=[candidate]))
     assert "<script>alert" not in html

@@ -1,0 +1,180 @@
+"""Which contours of two views correspond, and the motion that each pair means.
+
+Two BOFs that match are a whole hypothesis of the motion: the shift between their radii is the
+yaw, their centroids then give the translation, and their slices the height.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
+from slam_bof.types import Params
+
+__all__ = ["Correspondences", "MatchingParams", "find_correspondences", "weights"]
+
+YAW_STEP_DEG = 8
+"""Of yaws tried; what lies between is interpolated."""
+SLICE_STEP_M = 0.1
+
+
+class MatchingParams(Params):
+    """Which contours correspond, and what agrees."""
+
+    max_slices: int = Field(
+        2,
+        ge=0,
+        description="Largest difference of slice numbers between two contours that match.",
+    )
+    max_size_ratio: float = Field(
+        1.35,
+        gt=1,
+        description="Largest ratio of the largest radii of two contours that match.",
+    )
+    max_mean_difference: float = Field(
+        0.12,
+        gt=0,
+        description="Largest difference of the mean radii, each divided by the largest radius.",
+    )
+    min_similarity: float = Field(
+        0.9,
+        gt=0,
+        lt=1,
+        description="Smallest circular correlation of the radii of two contours that match.",
+    )
+    max_yaw_deg: float = Field(
+        60.0,
+        gt=0,
+        le=180,
+        description="Largest yaw between two views, in degrees.",
+    )
+    max_distance_m: float = Field(
+        3.0,
+        gt=0,
+        description="Largest horizontal distance between two cameras, in m.",
+    )
+    sigma_yaw_deg: float = Field(
+        6.0,
+        gt=0,
+        description="Width of the voting kernel in yaw, in degrees.",
+    )
+    sigma_m: float = Field(0.2, gt=0, description="Width of the voting kernel in x and z, in m.")
+    sigma_height_m: float = Field(
+        0.06,
+        gt=0,
+        description="Width of the voting kernel in height, in m.",
+    )
+    max_hypotheses: int = Field(
+        3,
+        gt=0,
+        description="Largest number of pose hypotheses for a pair of views.",
+    )
+    min_score_ratio: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Smallest score of a further hypothesis, as a share of the best one.",
+    )
+
+
+class Correspondences(NamedTuple):
+    """Pairs (M,) of a contour of the query and one of the matches, with the motion of each.
+
+    ``query_m`` and ``match_m`` (complex ``x + i z``) are their centroids. ``yaw`` (rad), ``shift``
+    (complex, m) and ``height`` (m) take the query's levelled frame to the match's; ``weight`` is
+    what a pair counts.
+    """
+
+    query: NDArray[np.intp]
+    match: NDArray[np.intp]
+    query_m: NDArray[np.complex64]
+    match_m: NDArray[np.complex64]
+    yaw: NDArray[np.float32]
+    shift: NDArray[np.complex64]
+    height: NDArray[np.float32]
+    weight: NDArray[np.float32]
+
+    def take(self, rows: NDArray[Any]) -> Correspondences:
+        """Return some rows."""
+        columns: tuple[NDArray[Any], ...] = self
+        return Correspondences(*(column[rows] for column in columns))
+
+
+def find_correspondences(
+    query: PlacedBofs, others: PlacedBofs, params: MatchingParams
+) -> Correspondences:
+    """Return the pairs of contours that correspond, in order of the query's."""
+    a, b = _candidates(query, others, params)
+    yaws = _yaws(params.max_yaw_deg)
+    turned = _turn(query.codes, yaws)
+    similarity = np.empty((len(yaws), len(a)), np.float32)
+    bounds = np.searchsorted(a, np.arange(len(query.codes) + 1))
+    for k, (start, stop) in enumerate(pairwise(bounds.tolist())):
+        similarity[:, start:stop] = turned[k] @ others.codes[b[start:stop]].T
+    kept = np.flatnonzero(similarity.max(axis=0, initial=-1.0) > params.min_similarity)
+    a, b, similarity = a[kept], b[kept], similarity[:, kept]
+    yaw, highest = _peak(similarity, yaws)
+    query_m, match_m = query.centroids_m[a], others.centroids_m[b]
+    shift = match_m - np.exp(1j * yaw).astype(np.complex64) * query_m
+    height = (others.slices[b] - query.slices[a].astype(np.int16)) * np.float32(SLICE_STEP_M)
+    weight = np.sqrt(weights(query)[a] * weights(others)[b])
+    weight *= (highest - np.float32(params.min_similarity)) / np.float32(1 - params.min_similarity)
+    pairs = Correspondences(a, b, query_m, match_m, yaw, shift, height.astype(np.float32), weight)
+    return pairs.take(np.flatnonzero(np.abs(shift) < params.max_distance_m))
+
+
+def weights(bofs: PlacedBofs) -> NDArray[np.float32]:
+    """Return what contours (C,) count: long ones more, but not by as much as they are longer."""
+    return np.sqrt(bofs.lengths_m)
+
+
+def _candidates(
+    query: PlacedBofs, others: PlacedBofs, params: MatchingParams
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the pairs (M,), (M,) of contours of about one height, size and mean radius."""
+    order = np.argsort(others.slices, kind="stable")
+    slices, log_radii, means = others.slices[order], others.log_radii[order], others.means[order]
+    low = np.searchsorted(slices, query.slices - params.max_slices)
+    high = np.searchsorted(slices, query.slices + params.max_slices, side="right")
+    counts = high - low
+    a = np.repeat(np.arange(len(counts)), counts)
+    b = np.arange(len(a)) + np.repeat(low - (np.cumsum(counts) - counts), counts)
+    log_ratio = np.float32(np.log(params.max_size_ratio))
+    near = np.abs(query.log_radii[a] - log_radii[b]) < log_ratio
+    near &= np.abs(query.means[a] - means[b]) < np.float32(params.max_mean_difference)
+    return a[near], order[b[near]]
+
+
+def _peak(
+    similarity: NDArray[np.float32], yaws: NDArray[np.float32]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return where similarities (Y, M) are highest, by a parabola through three, and how high."""
+    columns = np.arange(similarity.shape[1])
+    best = similarity.argmax(axis=0)
+    middle = np.clip(best, 1, len(yaws) - 2)
+    left, top, right = (similarity[middle + k, columns] for k in (-1, 0, 1))
+    bend = np.minimum(left - 2 * top + right, np.float32(-1e-6))
+    beside = np.clip(0.5 * (left - right) / bend, -1.0, 1.0)
+    yaw = yaws[middle] + beside * (yaws[1] - yaws[0])
+    return yaw.astype(np.float32), similarity[best, columns]
+
+
+@lru_cache(maxsize=4)
+def _yaws(max_yaw_deg: float) -> NDArray[np.float32]:
+    """Return the yaws (Y,) tried, at least three."""
+    n = max(1, int(max_yaw_deg / YAW_STEP_DEG))
+    return np.radians(np.arange(-n, n + 1) * YAW_STEP_DEG).astype(np.float32)
+
+
+def _turn(codes: NDArray[np.float32], yaws: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return codes (C, Y, 2 N_HARMONICS) of contours (C,) turned by each yaw."""
+    half = N_HARMONICS
+    turn = np.exp(-1j * np.outer(yaws, np.arange(half))).astype(np.complex64)
+    turned = (codes[:, :half] + 1j * codes[:, half:])[:, None] * turn
+    return np.concatenate([turned.real, turned.imag], axis=-1)

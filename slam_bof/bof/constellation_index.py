@@ -1,0 +1,206 @@
+"""An index of constellations: which views may agree with a query, without comparing all.
+
+Contours are looked up by cells of slice, size and shape. Each that is found votes for a motion of
+its view (``motion_votes``). Views in which many votes fall together are compared contour by
+contour, and ranked by consensus (``constellation_consensus``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
+from slam_bof.bof.constellation_consensus import Motions, fit_motions, vote
+from slam_bof.bof.constellation_correspondences import (
+    MatchingParams,
+    find_correspondences,
+    weights,
+)
+from slam_bof.bof.constellation_packing import PACKED, pack_constellation, unpack_constellation
+from slam_bof.bof.motion_votes import MotionVotes, count_votes, phases
+from slam_bof.bof.posting_lists import PostingLists, Postings
+from slam_bof.core import GrowingArray
+from slam_bof.types import Params
+
+__all__ = ["ConstellationIndex", "Found", "IndexParams"]
+
+LOG_SMALLEST = np.log(0.1)
+CELL_WIDTHS = np.array([0.2, 0.07, 0.07], np.float32)
+"""Of the logarithm of the size, and of the magnitudes of the second and third harmonic."""
+N_CELLS = np.array([24, 8, 5])
+SLICES_APART = (-1, 0, 1)
+"""Slices that are looked in; more would hardly add, for things stand in several."""
+MEAN_LEVELS = 256
+MEAN_REACH = 15
+"""Levels that means may differ by."""
+
+
+class IndexParams(Params):
+    """How many views are compared contour by contour, and how."""
+
+    n_compared: int = Field(
+        100,
+        gt=0,
+        description="Number of views with most votes that are matched contour by contour.",
+    )
+    matching: MatchingParams = MatchingParams()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """Views that agree with a query, best first.
+
+    Ids, scores and motions (n,) are of all that were compared.
+    """
+
+    view_ids: NDArray[np.intp]
+    scores: NDArray[np.float32]
+    motions: Motions
+
+    def first(self, n: int) -> Found:
+        """Return the best ``n``."""
+        motions: tuple[NDArray[Any], ...] = self.motions
+        return Found(
+            self.view_ids[:n], self.scores[:n], Motions(*(column[:n] for column in motions))
+        )
+
+
+class ConstellationIndex:
+    """Holds constellations, packed, and finds those that agree with another.
+
+    Examples
+    --------
+    >>> index = ConstellationIndex()
+    >>> for frame, gravity_camera in frames:  # doctest: +SKIP
+    ...     index.add(describe_constellation(frame, gravity_camera).bofs)
+    >>> index.find(query.bofs, 20).view_ids  # doctest: +SKIP
+    """
+
+    def __init__(self, params: IndexParams | None = None) -> None:
+        self.params = params or IndexParams()
+        self._rows = GrowingArray((), PACKED)
+        self._starts = GrowingArray((), np.int64)
+        self._starts.append(0)
+        self._totals = GrowingArray((), np.float32)
+        self._postings = PostingLists()
+
+    def __len__(self) -> int:
+        """Return the number of views held."""
+        return len(self._totals)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all views held."""
+        arrays = (self._rows, self._starts, self._totals)
+        return self._postings.nbytes + sum(array.rows.nbytes for array in arrays)
+
+    def add(self, bofs: PlacedBofs) -> int:
+        """Hold another view, and return its id: 0, 1, 2 ..."""
+        view_id = len(self)
+        rows = pack_constellation(bofs)
+        self._rows.extend(rows)
+        self._starts.append(len(self._rows))
+        self._totals.append(weights(bofs).sum())
+        shape = np.clip(np.floor(_shape(bofs)), 0, N_CELLS - 1).astype(np.int64)
+        keys = _first_key(bofs.slices, shape) + rows["mean"]
+        views = np.full(len(rows), view_id, np.int32)
+        x, z = rows["place"].T
+        self._postings.add(Postings(keys.astype(np.int32), views, x, z, phases(bofs)))
+        return view_id
+
+    def pop(self) -> None:
+        """Drop the view added last; no more than two after another."""
+        self._postings.pop()
+        self._starts.truncate(len(self))
+        self._rows.truncate(int(self._starts.rows[-1]))
+        self._totals.truncate(len(self) - 1)
+
+    def bofs(self, view_id: int) -> PlacedBofs:
+        """Return the contours of a view, as they are kept."""
+        return unpack_constellation(
+            self._rows.rows[self._starts.rows[view_id] : self._starts.rows[view_id + 1]]
+        )
+
+    def find(self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None) -> Found:
+        """Return the up to ``n`` views that agree best with a query.
+
+        ``allowed`` (V,) leaves some out.
+        """
+        views = self.candidates(query, self.params.n_compared, allowed=allowed)
+        return self.compare(query, views).first(n)
+
+    def candidates(
+        self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.intp]:
+        """Return the up to ``n`` views (m,) that have most votes for one motion, best first."""
+        voters = MotionVotes(query)
+        contours, low, high = _ranges(query)
+        cells = [np.empty(0, np.int64)]
+        for postings in self._postings.lists():
+            begin = np.searchsorted(postings.keys, low)
+            counts = np.searchsorted(postings.keys, high) - begin
+            asking = np.repeat(contours, counts)
+            rows = np.arange(len(asking)) + np.repeat(begin - (np.cumsum(counts) - counts), counts)
+            cells.append(voters.cells(asking, rows, postings))
+        # A view of few contours has fewer votes to get.
+        worth = 1.0 / np.sqrt(self._totals.rows + np.float32(5.0))
+        if allowed is not None:
+            worth = np.where(allowed, worth, 0.0)
+        views, votes = count_votes(np.concatenate(cells), worth.astype(np.float32), n)
+        return views[votes > 0]
+
+    def compare(self, query: PlacedBofs, views: NDArray[np.intp]) -> Found:
+        """Rank views (n,) by consensus of all their contours."""
+        p = self.params.matching
+        starts, stops = self._starts.rows[views], self._starts.rows[views + 1]
+        counts = stops - starts
+        which = np.repeat(np.arange(len(views)), counts)
+        rows = np.arange(len(which)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
+        pairs = find_correspondences(query, unpack_constellation(self._rows.rows[rows]), p)
+        votes = vote(pairs, which[pairs.match], len(views), p)
+        total = np.sqrt(weights(query).sum() * self._totals.rows[views])
+        scores = votes.worth / np.maximum(total, np.float32(1e-6))
+        best = np.argsort(-scores, kind="stable")
+        return Found(views[best], scores[best], fit_motions(votes, best, p))
+
+
+def _shape(bofs: PlacedBofs) -> NDArray[np.float32]:
+    """Return what cells are made of, in widths of cells: size and two magnitudes, (C, 3)."""
+    half = N_HARMONICS
+    magnitudes = np.hypot(bofs.codes[:, 2:4], bofs.codes[:, half + 2 : half + 4])
+    size = bofs.log_radii - np.float32(LOG_SMALLEST)
+    return np.asarray(np.concatenate([size[:, None], magnitudes], axis=1) / CELL_WIDTHS)
+
+
+def _first_key(slices: NDArray[np.integer[Any]], shape: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the first key of cells (C,) of slice (C,) and shape (C, 3)."""
+    key = slices.astype(np.int64)
+    for n_cells, along in zip(N_CELLS, shape.T, strict=True):
+        key = key * n_cells + along
+    return key * MEAN_LEVELS
+
+
+def _ranges(
+    query: PlacedBofs,
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
+    """Return contours (R,) and ranges of keys (R,), (R,) to look each up in.
+
+    Along each axis of its shape these are the two cells that are nearest.
+    """
+    at = np.clip(_shape(query), 0, N_CELLS - 0.01)
+    beside = np.array(list(product(SLICES_APART, *[(0, 1)] * len(N_CELLS))))
+    shape = np.floor(at - 0.5).astype(np.int64) + beside[:, None, 1:]
+    slices = query.slices.astype(np.int64) + beside[:, None, 0]
+    inside = (slices >= 0) & ((shape >= 0) & (shape < N_CELLS)).all(axis=-1)
+    contours = np.nonzero(inside)[1]
+    first = _first_key(slices[inside], shape[inside])
+    level = np.rint(query.means * (MEAN_LEVELS - 1)).astype(np.int64)
+    low = np.maximum(level - MEAN_REACH, 0)
+    high = np.minimum(level + MEAN_REACH + 1, MEAN_LEVELS)
+    return contours, first + low[contours], first + high[contours]

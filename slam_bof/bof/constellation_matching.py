@@ -1,0 +1,80 @@
+"""The motion between two views by their constellations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.bof.constellation import Constellation
+from slam_bof.bof.constellation_consensus import MIN_AGREEMENT, Motions, fit_motions, vote
+from slam_bof.bof.constellation_correspondences import (
+    MatchingParams,
+    find_correspondences,
+    weights,
+)
+from slam_bof.types import Array, Pose
+
+__all__ = ["PoseHypothesis", "camera_motions", "match_constellations"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseHypothesis:
+    """A motion that contours of two views agree on.
+
+    Parameters
+    ----------
+    score
+        How much of both views agrees, in [0, 1].
+    T_match_query
+        (4, 4), between the cameras.
+    inliers
+        (M, 2) contours of query and match that agree.
+    """
+
+    score: float
+    T_match_query: Pose
+    inliers: NDArray[np.intp]
+
+
+def match_constellations(
+    query: Constellation, other: Constellation, params: MatchingParams | None = None
+) -> list[PoseHypothesis]:
+    """Return the motions that may lie between two views, best first.
+
+    None where no contours correspond; several where the scene repeats itself.
+    """
+    p = params or MatchingParams()
+    pairs = find_correspondences(query.bofs, other.bofs, p)
+    total = np.sqrt(weights(query.bofs).sum() * weights(other.bofs).sum())
+    hypotheses: list[PoseHypothesis] = []
+    while len(pairs.query) and len(hypotheses) < p.max_hypotheses:
+        votes = vote(pairs, np.zeros(len(pairs.query), np.intp), 1, p)
+        score = float(votes.worth[0] / total)
+        if hypotheses and score < p.min_score_ratio * hypotheses[0].score:
+            break
+        R_match = other.R_level_camera[None]
+        motions = fit_motions(votes, np.zeros(1, np.intp), p)
+        T = camera_motions(motions, query.R_level_camera, R_match)[0]
+        agrees = votes.agreement > MIN_AGREEMENT
+        inliers = np.stack([votes.pairs.query[agrees], votes.pairs.match[agrees]], axis=1)
+        hypotheses.append(PoseHypothesis(score, T, inliers))
+        pairs = votes.pairs.take(~agrees)
+    return hypotheses
+
+
+def camera_motions(motions: Motions, R_level_query: Array, R_level_match: Array) -> Array:
+    """Return ``T_match_query`` (V, 4, 4) between cameras, of motions between levelled frames.
+
+    ``R_level_query`` (3, 3) and ``R_level_match`` (V, 3, 3) are those of ``Constellation``.
+    """
+    c, s = np.cos(motions.yaw), np.sin(motions.yaw)
+    T = np.zeros((len(c), 4, 4))
+    T[:, 0, 0], T[:, 0, 2], T[:, 2, 0], T[:, 2, 2] = c, -s, s, c
+    T[:, 1, 1] = T[:, 3, 3] = 1.0
+    T[:, :3, 3] = np.stack([motions.shift.real, motions.height, motions.shift.imag], axis=1)
+    T_match_level, T_level_query = np.tile(np.eye(4), (len(c), 1, 1)), np.eye(4)
+    T_match_level[:, :3, :3] = R_level_match.transpose(0, 2, 1)
+    T_level_query[:3, :3] = R_level_query
+    return np.asarray(T_match_level @ T @ T_level_query)

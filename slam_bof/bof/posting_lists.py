@@ -1,0 +1,92 @@
+"""Lists of contours by what they look like, sorted so that a range of one key is a slice.
+
+Like the levels of a log-structured merge tree (O'Neil et al. 1996): contours are added to a short
+list, and lists of about one length are merged, so that n contours are in some log n lists.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["PostingLists", "Postings"]
+
+MERGE_RATIO = 4
+"""A list is merged with the one before it, unless that is so many times as long."""
+
+
+class Postings(NamedTuple):
+    """P contours: their key, their view, and what else a vote needs.
+
+    ``x`` and ``z`` are centroids in steps, ``phases`` (P, 2) those of two harmonics, 256 to the
+    circle.
+    """
+
+    keys: NDArray[np.int32]
+    views: NDArray[np.int32]
+    x: NDArray[np.int16]
+    z: NDArray[np.int16]
+    phases: NDArray[np.uint8]
+
+    def sorted(self) -> Postings:
+        """Return the same in order of keys."""
+        order = np.argsort(self.keys, kind="stable")
+        columns: tuple[NDArray[Any], ...] = self
+        return Postings(*(column[order] for column in columns))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all columns."""
+        return sum(column.nbytes for column in self)
+
+
+class PostingLists:
+    """Sorted lists, longest first, and the newest views' unsorted contours."""
+
+    def __init__(self, n_new: int = 64) -> None:
+        self._n_new = n_new
+        self._lists: list[Postings] = []
+        self._new: list[Postings] = []
+        self._newest: Postings | None = None
+
+    def add(self, postings: Postings) -> None:
+        """Add a view's contours."""
+        if len(self._new) > self._n_new:
+            # The last may still be dropped.
+            self._lists.append(_join(self._new[:-1]).sorted())
+            self._new = self._new[-1:]
+            while len(self._lists) > 1 and len(self._lists[-2].keys) < MERGE_RATIO * len(
+                self._lists[-1].keys
+            ):
+                last = self._lists.pop()
+                self._lists[-1] = _join([self._lists[-1], last]).sorted()
+        self._new.append(postings)
+        self._newest = None
+
+    def pop(self) -> None:
+        """Drop the contours of the view added last; of the last two, but of no more.
+
+        Raises
+        ------
+        IndexError
+            If there are none that can be dropped.
+        """
+        self._new.pop()
+        self._newest = None
+
+    def lists(self) -> list[Postings]:
+        """Return all contours in lists that are sorted."""
+        if self._newest is None:
+            self._newest = _join(self._new).sorted() if self._new else None
+        return self._lists + ([] if self._newest is None else [self._newest])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all lists."""
+        return sum(postings.nbytes for postings in self.lists())
+
+
+def _join(postings: list[Postings]) -> Postings:
+    return Postings(*(np.concatenate(column) for column in zip(*postings, strict=True)))

@@ -1,0 +1,74 @@
+"""The files that a run leaves in its folder."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+
+from slam_bof.geometry import write_kitti, write_tum
+from slam_bof.maps import write_sequence_cloud
+from slam_bof.run.metrics import Metrics
+from slam_bof.run.record import RunRecord
+from slam_bof.types import Candidate, Keyframe, Trajectory
+from slam_bof.visualization import ReportData, write_report
+
+__all__ = ["write_outputs", "write_trajectory"]
+
+
+def write_outputs(folder: Path, record: RunRecord, metrics: Metrics) -> None:
+    """Write everything but the two estimated trajectories and ``map.db``, which come first."""
+    result = record.result
+    frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
+    record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
+    text = json.dumps(metrics, indent=2) + "\n"
+    (folder / "metrics.json").write_text(text, encoding="utf-8")
+    if record.groundtruth is not None:
+        write_trajectory(folder, "groundtruth", record.groundtruth)
+    _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes)
+    write_sequence_cloud(folder / "map.ply", record.dataset, frame_indices, result.T_map_camera)
+    write_report(folder / "report.html", _report_data(record, metrics))
+
+
+def write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
+    """Write a trajectory in the formats of TUM and KITTI."""
+    write_tum(folder / f"trajectory_{name}_tum.txt", trajectory)
+    write_kitti(folder / f"trajectory_{name}_kitti.txt", trajectory)
+
+
+def _write_audit_trail(
+    path: Path, candidates: Sequence[Candidate], keyframes: Sequence[Keyframe]
+) -> None:
+    """Write one row for each pair considered; a field is empty where it was not measured."""
+    names = [field.name for field in fields(Candidate)]
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["query_stamp_s", "match_stamp_s", *names])
+        for candidate in candidates:
+            values = [getattr(candidate, name) for name in names]
+            writer.writerow(
+                [
+                    keyframes[candidate.query_id].stamp_s,
+                    keyframes[candidate.match_id].stamp_s,
+                    *("" if value != value else value for value in values),
+                ]
+            )
+
+
+def _report_data(record: RunRecord, metrics: Metrics) -> ReportData:
+    result = record.result
+    return ReportData(
+        metrics=metrics,
+        odometry=result.odometry,
+        optimized=result.optimized,
+        groundtruth=record.groundtruth,
+        keyframes=[
+            replace(keyframe, smoothed=scene)
+            for keyframe, scene in zip(result.keyframes, record.smoothed, strict=True)
+        ],
+        loops=result.loops,
+        candidates=record.candidates,
+        true_scenes=record.true_scenes,
+    )

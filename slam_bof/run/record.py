@@ -1,0 +1,48 @@
+"""The record of a run that its metrics, files and report are made from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from slam_bof.core import StageClock, Usage
+from slam_bof.ports import Dataset
+from slam_bof.slam import LoopCloser, SlamResult
+from slam_bof.types import Candidate, Scene, Trajectory
+
+__all__ = ["RunRecord"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunRecord:
+    """A session that has been run to its end.
+
+    Parameters
+    ----------
+    dataset, closer, seed
+        The sequence, the plug-in that has processed it, and the seed of the run.
+    result
+        The trajectories, keyframes and loops.
+    candidates
+        The audit trail; ids of keyframes count from 0, as in ``result``.
+    smoothed, n_rooms
+        The label of each keyframe that also uses the keyframes around it, and the number of rooms
+        in the map.
+    groundtruth, true_scenes
+        The true pose of each frame of the sequence, and the true label of each keyframe; None
+        where the data set has none.
+    usage, clock
+        Time spent in this process.
+    """
+
+    dataset: Dataset
+    closer: LoopCloser
+    seed: int
+    result: SlamResult
+    candidates: Sequence[Candidate]
+    smoothed: Sequence[Scene | None]
+    n_rooms: int
+    groundtruth: Trajectory | None
+    true_scenes: Sequence[str] | None
+    usage: Usage
+    clock: StageClock

@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+
+from slam_bof.bof import ConstellationIndex, pack_constellation, unpack_constellation
+from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs, encode
+from slam_bof.bof.posting_lists import PostingLists, Postings
+
+ANGLE = np.arange(180) * (2 * np.pi / 180)
+
+
+def view(seed, n=30):
+    """Contours of random shapes, sizes and places."""
+    random = np.random.default_rng(seed)
+    a2, a3 = random.uniform(0.1, 0.4, (2, n, 1))
+    p2, p3 = random.uniform(0, 2 * np.pi, (2, n, 1))
+    radii = 1 + a2 * np.cos(2 * ANGLE + p2) + a3 * np.cos(3 * ANGLE + p3)
+    radii /= radii.max(axis=1, keepdims=True)
+    largest = random.uniform(0.2, 1.5, n)
+    return PlacedBofs(
+        random.integers(5, 25, n).astype(np.int8),
+        (random.uniform(-1.5, 1.5, n) + 1j * random.uniform(1, 4, n)).astype(np.complex64),
+        np.log(largest).astype(np.float32),
+        radii.mean(axis=1).astype(np.float32),
+        (7 * largest).astype(np.float32),
+        encode(radii.astype(np.float32)),
+    )
+
+
+def seen_again(bofs, yaw, shift, seed=0, share=0.6):
+    """Some contours of a view, seen from elsewhere, their places a little off, and others."""
+    random = np.random.default_rng(seed)
+    half, k = N_HARMONICS, np.arange(N_HARMONICS)
+    spectrum = (bofs.codes[:, :half] + 1j * bofs.codes[:, half:]) * np.exp(-1j * k * yaw)
+    off = random.normal(0, 0.03, (2, len(bofs.slices)))
+    centroids = bofs.centroids_m * np.exp(1j * yaw) + shift + off[0] + 1j * off[1]
+    moved = bofs._replace(
+        centroids_m=centroids.astype(np.complex64),
+        codes=np.concatenate([spectrum.real, spectrum.imag], axis=1).astype(np.float32),
+    )
+    kept = random.random(len(bofs.slices)) < share
+    return PlacedBofs(
+        *(np.concatenate([a[kept], b[~kept]]) for a, b in zip(moved, view(seed + 999), strict=True))
+    )
+
+
+@pytest.fixture(scope="module")
+def index():
+    index = ConstellationIndex()
+    assert [index.add(view(seed)) for seed in range(400)] == list(range(400))
+    return index
+
+
+@pytest.mark.parametrize("place", [3, 150, 399])
+def test_a_view_is_found_with_its_motion(index, place):
+    yaw, shift = np.radians(25.0), 0.4 - 0.3j
+    # The query's frame in the match's is the inverse of how the match's contours moved.
+    query = seen_again(view(place), -yaw, -shift * np.exp(-1j * yaw))
+    found = index.find(query, 5)
+    assert found.view_ids[0] == place
+    assert found.scores[0] > 2 * found.scores[1]
+    assert found.motions.yaw[0] == pytest.approx(yaw, abs=np.radians(3))
+    assert found.motions.shift[0] == pytest.approx(shift, abs=0.06)
+    assert found.motions.height[0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_what_votes_leave_out_exhaustive_comparison_does_not_find_either(index):
+    missed = 0
+    for place in range(0, 400, 20):
+        query = seen_again(view(place), 0.3, 0.2 + 0.1j, seed=place, share=0.5)
+        everything = index.compare(query, np.arange(400)).view_ids[0]
+        missed += index.find(query, 1).view_ids[0] != everything
+    assert missed <= 1
+
+
+def test_views_that_are_not_allowed_are_left_out(index):
+    allowed = np.ones(400, bool)
+    allowed[7] = False
+    assert index.find(view(7), 1).view_ids[0] == 7
+    assert 7 not in index.find(view(7), 400, allowed=allowed).view_ids
+
+
+def test_the_last_view_can_be_dropped(index):
+    n, n_bytes = len(index), index.nbytes
+    index.add(view(1000))
+    assert index.find(view(1000), 1).view_ids.tolist() == [n]
+    index.pop()
+    assert (len(index), index.nbytes) == (n, n_bytes)
+    assert n not in index.find(view(1000), n).view_ids
+    assert index.add(view(1001)) == n
+    assert index.find(view(1001), 1).view_ids.tolist() == [n]
+    index.pop()
+
+
+def test_a_view_takes_less_than_two_kilobytes(index):
+    assert index.nbytes / len(index) < 2048
+
+
+def test_nothing_is_found_for_nothing_and_in_nothing(index):
+    nothing = view(0).take(slice(0, 0))
+    assert len(index.find(nothing, 5).view_ids) == 0
+    empty = ConstellationIndex()
+    assert len(empty.find(view(0), 5).view_ids) == 0
+    assert empty.add(nothing) == 0
+    assert len(empty.find(view(0), 5).view_ids) == 0
+
+
+def test_packed_contours_are_nearly_what_they_were():
+    bofs = view(5)
+    rows = pack_constellation(bofs)
+    assert len(rows.tobytes()) == 32 * len(bofs.slices)
+    again = unpack_constellation(rows)
+    np.testing.assert_array_equal(again.slices, bofs.slices)
+    np.testing.assert_allclose(again.centroids_m, bofs.centroids_m, atol=0.006)
+    np.testing.assert_allclose(again.log_radii, bofs.log_radii, atol=0.0101)
+    np.testing.assert_allclose(again.lengths_m, bofs.lengths_m, rtol=0.016)
+    np.testing.assert_allclose(again.means, bofs.means, atol=0.002)
+    assert ((again.codes * bofs.codes).sum(axis=1) > 0.99).all()
+
+
+def test_lists_hold_all_postings_in_order():
+    lists, counts = PostingLists(n_new=3), np.random.default_rng(0).integers(0, 6, 100)
+    for view_id, n in enumerate(counts.tolist()):
+        keys = np.random.default_rng(view_id).integers(0, 50, n)
+        told = np.full((n, 2), view_id)
+        lists.add(
+            Postings(
+                keys.astype(np.int32),
+                told[:, 0].astype(np.int32),
+                told[:, 0].astype(np.int16),
+                told[:, 1].astype(np.int16),
+                told.astype(np.uint8),
+            )
+        )
+        held = lists.lists()
+        assert all((np.diff(postings.keys) >= 0).all() for postings in held)
+        views = np.concatenate([postings.views for postings in held])
+        np.testing.assert_array_equal(
+            np.bincount(views, minlength=100)[: view_id + 1], counts[: view_id + 1]
+        )
+    assert len(held) < 8
+    assert all((p.views == p.x).all() and (p.x[:, None] == p.phases).all() for p in held)

@@ -1,0 +1,66 @@
+import numpy as np
+import pytest
+
+from slam_bof.bof import ConstellationParams
+from slam_bof.bof.constellation import place_bofs
+from slam_bof.places.view_index import ViewIndex, ViewIndexParams
+
+N = 30
+
+
+def scene(seed):
+    """Points (N, 3) in the levelled frame of a few walls and boxes."""
+    random = np.random.default_rng(seed)
+    boxes = []
+    for _ in range(6):
+        size = random.uniform(0.2, 1.5, 3)
+        place = random.uniform((-1.5, -0.8, 1.2), (1.5, 0.8, 4.0))
+        boxes.append(random.uniform(-0.5, 0.5, (3000, 3)) * size + place)
+    return np.concatenate(boxes).astype(np.float32)
+
+
+def hold(index, ids):
+    for view_id in ids:
+        points = scene(view_id % N)
+        index.add(view_id, place_bofs(points, ConstellationParams()), points)
+
+
+@pytest.fixture
+def index():
+    index = ViewIndex(ViewIndexParams())
+    hold(index, range(0, 2 * N, 2))  # the others are not searched
+    return index
+
+
+@pytest.mark.parametrize("n_voted", [10, 200])
+def test_the_same_scene_is_proposed_first(n_voted):
+    index = ViewIndex(ViewIndexParams(n_voted=n_voted, n_compared=10))
+    hold(index, [*range(0, N), N + 7])
+    found = index.propose(N + 7, N, 5)
+    assert found.view_ids[0] == 7 == found.scores.argmax()
+    assert found.scores.shape == (N,)
+    assert len(found.view_ids) == len(found.motions.yaw) == 5
+    assert abs(found.motions.yaw[0]) + abs(found.motions.shift[0]) < 0.02
+
+
+def test_only_views_below_and_not_left_out_are_proposed(index):
+    found = index.propose(58, 40, 100, but=np.array([4, 6]))
+    assert set(found.view_ids.tolist()) == set(range(0, 40, 2)) - {4, 6}
+    assert (found.scores[[4, 6, 5]] == -1.0).all()
+    assert len(index.propose(58, 0, 10).view_ids) == 0
+
+
+def test_a_dropped_view_is_gone(index):
+    before = index.nbytes
+    hold(index, [77])
+    assert index.nbytes > before
+    index.pop()
+    assert index.nbytes == before
+    assert 77 not in index.propose(58, 100, 100).view_ids
+
+
+def test_views_around_one_are_those_that_are_searched(index):
+    assert index.around(10, 2, 100) == [6, 8, 10, 12, 14]
+    assert index.around(0, 1, 100) == [0, 2]
+    assert index.around(10, 2, 11) == [6, 8, 10]
+    assert index.around(11, 1, 100) == [10, 12, 14]
