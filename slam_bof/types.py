@@ -197,7 +197,8 @@ class Keyframe:
     are defined in ``tracking.Track``. ``scene`` is the label of this keyframe alone; ``smoothed``
     also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
     that the keyframe comes from: a map may hold several runs, each with its own frames and
-    odometry.
+    odometry. ``step_covariance`` (6, 6) is that of the step from the keyframe before, in the
+    tangent of the pose, rotation first, in rad and m; None if it is unknown.
     """
 
     id: int
@@ -209,6 +210,7 @@ class Keyframe:
     segment: int = 0
     smoothed: Scene | None = None
     session: int = 0
+    step_covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -217,8 +219,9 @@ class Verification:
 
     ``overlap`` is the share of the query's points that have a corresponding point in the match,
     and ``rmse_m`` is their point-to-plane error. ``information`` (6, 6) is that of the tangent of
-    ``T_match_query``, rotation first (the convention of GTSAM). ``reason`` says in words why
-    ``accepted`` is false.
+    ``T_match_query``, rotation first (the convention of GTSAM), in 1/rad^2 and 1/m^2: the inverse
+    of the covariance of its error, and almost zero along directions that the surfaces leave open.
+    ``reason`` says in words why ``accepted`` is false.
     """
 
     accepted: bool
@@ -247,6 +250,8 @@ class EdgeKind(StrEnum):
 
     LOOP = "loop"
     """A revisit: the two are far apart in time and passed all checks for loops."""
+    PARTIAL = "partial"
+    """A revisit whose surfaces leave directions open, along which the edge holds nothing."""
     COVISIBILITY = "covisibility"
     """Two neighbours in time or in the map that see the same surfaces."""
 
@@ -288,7 +293,8 @@ class Candidate:
 class Loop:
     """A verified edge of the pose graph between two keyframes.
 
-    ``information`` (6, 6) is that of the tangent of ``T_match_query``, rotation first.
+    ``information`` (6, 6) is that of the tangent of ``T_match_query``, rotation first, as in
+    ``Verification``.
     """
 
     query_id: int
@@ -305,7 +311,8 @@ class FramePose:
 
     ``segment`` is the number of the uninterrupted track that the frame belongs to, or ``LOST``
     while odometry was lost. ``T_view_camera`` is the pose of the sensor in the virtual camera that
-    its point cloud was projected into, and None for a depth image.
+    its point cloud was projected into, and None for a depth image. ``covariance`` (6, 6) of a
+    keyframe is ``Keyframe.step_covariance``.
     """
 
     stamp_s: float
@@ -313,6 +320,7 @@ class FramePose:
     T_odom_camera: Pose
     segment: int
     T_view_camera: Pose | None = None
+    covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -355,8 +363,10 @@ class Step:
     ``keyframe`` is None if the frame did not become one. ``scene`` is the latest label. ``loops``
     are the edges that were accepted with this frame, and ``candidates`` are all pairs that were
     considered for them. ``T_map_odom`` corrects the odometry frame (REP 105):
-    ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
-    wrong and no better one is known.
+    ``T_map_camera = T_map_odom @ T_odom_camera``. ``health`` is ``tracked``; or ``degenerate``
+    where the surfaces in sight leave directions to odometry alone, ``open_axes`` (6, k) in the
+    camera frame, rotation first; or ``lost``, as ``is_lost``: the odometry pose is wrong and no
+    better one is known. ``covariance`` (6, 6) is that of the pose since the last keyframe.
     """
 
     keyframe: Keyframe | None
@@ -365,6 +375,15 @@ class Step:
     candidates: tuple[Candidate, ...]
     T_map_odom: Pose
     is_lost: bool = False
+    open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+    covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    @property
+    def health(self) -> str:
+        """Return ``tracked``, ``degenerate`` or ``lost``."""
+        if self.is_lost:
+            return "lost"
+        return "degenerate" if self.open_axes.shape[1] else "tracked"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.cluster.hierarchy import DisjointSet
 
-from slam_bof.geometry import GraphEdge, loop_information, se3, step_sigmas, write_g2o
+from slam_bof.geometry import GraphEdge, se3, step_sigmas, write_g2o
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,
     ROOT_SIGMA,
     Edge,
     SelectionParams,
+    edge_covariance,
     optimized,
     pose3,
     poses_of,
@@ -33,21 +34,34 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 
 
 class GtsamParams(Params):
-    """Noise of the odometry per step between keyframes, and of an average loop."""
+    """Noise of steps between keyframes and of loops, where their own covariance says less."""
 
     odometry_sigma_rad: float = Field(
-        0.05, gt=0, description="Standard deviation of odometry between keyframes, in rotation."
+        0.05,
+        gt=0,
+        description="Standard deviation of a step of unknown covariance, in rotation, in rad.",
     )
     odometry_sigma_m: float = Field(
-        0.05, gt=0, description="Standard deviation of odometry between keyframes, in translation."
-    )
-    loop_sigma: float = Field(
-        0.01,
+        0.05,
         gt=0,
-        description="Standard deviation of loops, the mean over the six axes, in rad and m.",
+        description="Standard deviation of a step of unknown covariance, in translation, in m.",
+    )
+    step_floor_rad: float = Field(
+        1e-4, gt=0, description="Smallest standard deviation of any step, in rotation, in rad."
+    )
+    step_floor_m: float = Field(
+        3e-4, gt=0, description="Smallest standard deviation of any step, in translation, in m."
+    )
+    loop_floor: float = Field(
+        0.002, gt=0, description="Smallest standard deviation of any loop, in rad and m."
+    )
+    huber: float = Field(
+        3.0, gt=0, description="Scale of the Huber robust kernel of steps, in standard deviations."
     )
     cauchy: float = Field(
-        1.0, gt=0, description="Scale of the Cauchy robust kernel, in standard deviations."
+        1.0,
+        gt=0,
+        description="Scale of the Cauchy robust kernel of loops, in standard deviations.",
     )
     tolerance: float = Field(
         0.01,
@@ -108,7 +122,7 @@ class GtsamBackend:
         else:
             motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
             is_lost = keyframe.segment != self._segments[-1]
-            noise = self._lost_noise if is_lost else self._odometry_noise
+            noise = self._lost_noise if is_lost else self._step_noise(keyframe)
             factor = gtsam.BetweenFactorPose3(key - 1, key, motion, noise)
             node = self._estimate.atPose3(key - 1).compose(motion)
         self._odometry.add(factor)
@@ -136,14 +150,14 @@ class GtsamBackend:
         self._start_afresh(gtsam.ISAM2Params())
 
     def add_loop(self, loop: Loop) -> None:
-        """Add a verified edge; its information keeps its shape and is scaled to one trace.
+        """Add a verified edge, with its own information.
 
         One that says what the map has already waits for the end: where the same place is seen
         over and over, iSAM2's tree would become dense and each update slower than the last. The
         first between two segments never waits: without, the lost step alone would place them.
         """
-        information = loop_information(loop.information, self.params.loop_sigma)
-        noise = gtsam.noiseModel.Gaussian.Information(information)
+        covariance = edge_covariance(loop.information) + self.params.loop_floor**2 * np.eye(6)
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
         self._loops.append((edge, noise))
         joins = self._held.merge(self._segments[edge.match], self._segments[edge.query])
@@ -178,6 +192,7 @@ class GtsamBackend:
                 np.array(self._segments),
                 np.array(self._stamps_s),
                 [edge for edge, _ in self._loops],
+                [noise.covariance() for _, noise in self._loops],
                 p.selection,
             )
         graph = gtsam.NonlinearFactorGraph(self._odometry)
@@ -197,11 +212,9 @@ class GtsamBackend:
         Robust kernels have no place in the format. Steps over which odometry was lost are left
         out too: they only keep the linear systems well-posed.
         """
-        p = self.params
-        steps = np.diag(step_sigmas(p.odometry_sigma_rad, p.odometry_sigma_m) ** -2.0)
         T = self._T_odom_camera
         edges = [
-            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], steps)
+            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], _information(self._odometry.at(k)))
             for k in range(1, len(T))
             if self._segments[k - 1] == self._segments[k]
         ]
@@ -210,6 +223,16 @@ class GtsamBackend:
             for edge, noise in self._kept()
         ]
         write_g2o(path, enumerate(self.poses()), edges)
+
+    def _step_noise(self, keyframe: Keyframe) -> gtsam.noiseModel.Base:
+        """Return the noise of a keyframe's step from the one before."""
+        if keyframe.step_covariance is None:
+            return self._odometry_noise
+        p = self.params
+        floor = np.square(np.repeat([p.step_floor_rad, p.step_floor_m], 3))
+        noise = gtsam.noiseModel.Gaussian.Covariance(keyframe.step_covariance + np.diag(floor))
+        kernel = gtsam.noiseModel.mEstimator.Huber.Create(p.huber)
+        return gtsam.noiseModel.Robust.Create(kernel, noise)
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
@@ -241,3 +264,11 @@ class GtsamBackend:
     def _robust(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.NonlinearFactor:
         kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.params.cauchy)
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
+
+
+def _information(factor: Any) -> Array:
+    """Return the information (6, 6) of a factor, without its robust kernel."""
+    noise = factor.noiseModel()
+    if isinstance(noise, gtsam.noiseModel.Robust):
+        noise = noise.noise()
+    return np.asarray(noise.information())

@@ -20,10 +20,21 @@ from pydantic import Field
 from slam_bof.geometry import se3
 from slam_bof.types import Array, Params, Pose
 
-__all__ = ["LOST_SIGMA", "Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]
+__all__ = [
+    "LOST_SIGMA",
+    "Edge",
+    "SelectionParams",
+    "edge_covariance",
+    "optimized",
+    "pose3",
+    "poses_of",
+    "weigh_loops",
+]
 
 ROOT_SIGMA = 1e-3
 """Of the first node, in rad and in m; nothing pulls at it."""
+OPEN_SIGMA = 10.0
+"""Of an edge along the directions that it leaves open, rad and m."""
 LOST_SIGMA = 1.0
 """Of a step over which odometry was lost. Far less certain, and the linear systems become
 ill-posed; this too is nothing beside a loop."""
@@ -67,6 +78,7 @@ def weigh_loops(
     segments: NDArray[np.integer[Any]],
     stamps_s: Array,
     edges: Sequence[Edge],
+    covariances: Sequence[Array],
     params: SelectionParams,
 ) -> tuple[NDArray[np.float64], gtsam.Values]:
     """Weigh each edge in [0, 1]: near 0 where it contradicts the others.
@@ -81,6 +93,11 @@ def weigh_loops(
     stamps_s
         (K,) their times; edges over less than ``local_s`` in one segment are not judged and
         weigh 1.
+    edges
+        (E,) all edges.
+    covariances
+        (E,) of them, (6, 6), rotation first. What an edge leaves open speaks neither for nor
+        against any other.
 
     Returns
     -------
@@ -92,24 +109,34 @@ def weigh_loops(
     far = np.abs(stamps_s[query] - stamps_s[match]) >= params.local_s
     far |= segments[query] != segments[match]
     weights = np.ones(len(edges))
-    near = [e for e, is_far in zip(edges, far, strict=True) if not is_far]
-    settled = _settle(T_odom_camera, segments, near, params)
+    near = [k for k, is_far in enumerate(far) if not is_far]
+    settled = _settle(
+        T_odom_camera, segments, [edges[k] for k in near], [covariances[k] for k in near], params
+    )
     if not any(far):
         return weights, _values(settled)
     steady = gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma)
     graph = _chain(settled, segments, steady)
-    n_visible = graph.size()
-    noise = gtsam.noiseModel.Isotropic.Sigma(6, params.loop_sigma)
-    for edge, is_far in zip(edges, far, strict=True):
+    n_known = graph.size()
+    for edge, covariance, is_far in zip(edges, covariances, far, strict=True):
         if is_far:
-            graph.add(gtsam.BetweenFactorPose3(*edge, noise))
+            graph.add(gtsam.BetweenFactorPose3(*edge, _loosened(covariance, params.loop_sigma)))
     gnc = gtsam.GncLMParams()
-    gnc.setKnownInliers(list(range(n_visible)))
+    gnc.setKnownInliers(list(range(n_known)))
     optimizer = gtsam.GncLMOptimizer(graph, _values(settled), gnc)
     optimizer.setInlierCostThresholdsAtProbability(params.inlier_probability)
     values = optimizer.optimize()
-    weights[far] = np.asarray(optimizer.getWeights())[n_visible:]
+    weights[far] = np.asarray(optimizer.getWeights())[n_known:]
     return weights, values
+
+
+def edge_covariance(information: Array) -> Array:
+    """Return the covariance (6, 6) of an edge, of ``OPEN_SIGMA`` where it is open."""
+    return np.asarray(np.linalg.inv(information + np.eye(6) / OPEN_SIGMA**2))
+
+
+def _loosened(covariance: Array, sigma: float) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Gaussian.Covariance(covariance + sigma**2 * np.eye(6))
 
 
 def pose3(T: Pose) -> gtsam.Pose3:
@@ -139,16 +166,16 @@ def _settle(
     T_odom_camera: Array,
     segments: NDArray[np.integer[Any]],
     edges: Sequence[Edge],
+    covariances: Sequence[Array],
     params: SelectionParams,
 ) -> Array:
     """Return the nodes (K, 4, 4) by odometry and the edges between neighbours, all robust."""
-    noise = gtsam.noiseModel.Robust.Create(
-        gtsam.noiseModel.mEstimator.Cauchy.Create(1.0),
-        gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma),
-    )
-    graph = _chain(T_odom_camera, segments, noise)
-    for edge in edges:
-        graph.add(gtsam.BetweenFactorPose3(*edge, noise))
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
+    steady = gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma)
+    graph = _chain(T_odom_camera, segments, gtsam.noiseModel.Robust.Create(kernel, steady))
+    for edge, covariance in zip(edges, covariances, strict=True):
+        noise = _loosened(covariance, params.local_sigma)
+        graph.add(gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise)))
     return poses_of(optimized(graph, _values(T_odom_camera)))
 
 

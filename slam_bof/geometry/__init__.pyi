@@ -28,6 +28,14 @@ from .gravity import (
     down_of_map as down_of_map,
     level_frame as level_frame,
 )
+from .observability import (
+    Observability as Observability,
+    PosePrior as PosePrior,
+    is_partial as is_partial,
+    observe as observe,
+    plane_information as plane_information,
+    search_weak as search_weak,
+)
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
     ViewAligner as ViewAligner,

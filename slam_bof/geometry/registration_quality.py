@@ -30,19 +30,13 @@ class RegistrationQualityParams(Params):
         gt=0,
         description="Largest root mean square of point-to-plane residuals, in m.",
     )
-    min_stiffness: float = Field(
-        0.002,
-        ge=0,
-        description="Smallest eigenvalue of the information for each point.",
-    )
 
 
 def assess_registration(
     params: RegistrationQualityParams,
     T_match_query: Pose,
-    points_query: Array,
-    normals_query: Array,
     residuals_m: Array,
+    information: Array,
     *,
     overlap: float,
     guessed: bool,
@@ -56,24 +50,20 @@ def assess_registration(
         What is asked of it.
     T_match_query
         (4, 4) the alignment.
-    points_query, normals_query
-        (M, 3) each, in the query's camera frame: points, and normals of the match's surfaces
-        that they lie on.
     residuals_m
-        (M,) from point to surface, along the normal.
+        (M,) from points of the query to the match's surface, along its normal.
+    information
+        (6, 6) as ``Verification`` has it.
     overlap
         Share of the query's points that the match sees too.
     guessed
         Whether the alignment started from a guess; else more overlap is asked.
-    objection
+    reason_against
         What else there is against it, in words.
     """
     if len(residuals_m) == 0:
         return reject("no correspondences", T_match_query, overlap=overlap)
     rmse_m = float(np.sqrt(np.mean(residuals_m**2)))
-    jacobian = np.hstack([np.cross(points_query, normals_query), normals_query])
-    information = jacobian.T @ jacobian
-    stiffness = float(np.linalg.eigvalsh(information)[0]) / len(residuals_m)
     min_overlap = params.min_overlap if guessed else params.min_overlap_global
     reason = ""
     if overlap < min_overlap:
@@ -82,8 +72,6 @@ def assess_registration(
         reason = reason_against
     elif rmse_m > params.max_rmse_m:
         reason = f"residual {rmse_m:.3f} m above {params.max_rmse_m:g} m"
-    elif stiffness < params.min_stiffness:
-        reason = f"degenerate: stiffness {stiffness:.4f} below {params.min_stiffness:g}"
     return Verification(not reason, reason, T_match_query, overlap, rmse_m, information)
 
 

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from slam_bof.types import Array, Pose
 
 __all__ = [
+    "adjoint",
     "align",
     "check_rigid",
     "exp",
@@ -174,3 +175,17 @@ def from_quaternion(quaternion_xyzw: ArrayLike, t: ArrayLike) -> Pose:
 def to_quaternion(T: Pose) -> Array:
     """Return unit quaternions (..., 4), x y z w with w >= 0, of transforms (..., 4, 4)."""
     return np.asarray(Rotation.from_matrix(T[..., :3, :3]).as_quat(canonical=True))
+
+
+def adjoint(T: Pose) -> Array:
+    """Return the (6, 6) that takes tangents, rotation first, from the right of ``T`` to its left.
+
+    >>> T, x = exp(np.arange(6) / 10), np.array([0.01, 0.02, 0.0, 0.1, 0.0, 0.2])
+    >>> np.allclose(T @ exp(x), exp(adjoint(T) @ x) @ T)
+    True
+    """
+    R, (x, y, z) = T[:3, :3], T[:3, 3]
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = R
+    out[3:, :3] = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ R
+    return out

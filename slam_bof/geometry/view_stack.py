@@ -104,6 +104,17 @@ class ViewStack:
         pixels = self._sampled.rows[views, :n_points]
         return self._points(np.asarray(views)[..., None], pixels)
 
+    def sampled_blocks(
+        self, view_id: int, shape: tuple[int, int], n_points: int | None = None
+    ) -> Indices:
+        """Return in which of ``shape`` columns and rows of blocks the points (m,) of a view are."""
+        assert self._camera is not None
+        columns, rows = shape
+        pixels = self._sampled.rows[view_id, :n_points]
+        row, column = np.divmod(pixels, self._camera.width)
+        block = row * rows // self._camera.height * columns
+        return np.asarray(block + column * columns // self._camera.width)
+
     def surface(self, view_id: int, n_points: int | None = None) -> tuple[Floats, Floats]:
         """Return sampled points (m, 3) of a view with known normals, and the normals (m, 3)."""
         pixels = self._surface.rows[view_id, :n_points]

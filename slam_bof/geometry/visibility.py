@@ -13,10 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import se3
-from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
+from slam_bof.geometry.view_stack import Floats, Indices, ProjectedPoints, ViewStack
 from slam_bof.types import Array
 
-__all__ = ["Agreement", "Coverage", "PointVisibility", "agreement", "classify_points", "coverage"]
+__all__ = [
+    "Agreement",
+    "Coverage",
+    "PointVisibility",
+    "Scores",
+    "agreement",
+    "classify_points",
+    "coverage",
+    "scores",
+]
+
+BLOCKS = 8, 6
+"""Columns and rows of blocks that an image is cut into to see how agreement varies."""
+SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
+"""Metres and shares of depth: coarse ones tell from afar, fine ones which of two is the better."""
 
 
 class Agreement(NamedTuple):
@@ -66,6 +80,85 @@ def classify_points(
     fixed, share = tolerance
     allowed = fixed + share * projected.depth_m
     return PointVisibility(known & (np.abs(off) < allowed), known & (off < -allowed), known)
+
+
+MIN_FACING = 0.1
+"""Surfaces that face the camera less are not continued within a pixel."""
+
+
+def _depth_beyond(
+    views: ViewStack, points: Floats, frames: Indices, T: Floats
+) -> tuple[Floats, ProjectedPoints, NDArray[np.bool_]]:
+    """Return by how much points (m, 3) lie beyond the surfaces of frames (n,), and where known.
+
+    A surface is continued from the centre of its pixel to where the point falls: on a floor seen at
+    a flat angle half a pixel is decimetres of depth, and whole pixels would seem to agree best.
+    """
+    projected = views.project_points(points, T)
+    surface, normals = views.surface_at(frames, projected)
+    there = surface[:, 2]
+    moved = T[:, :3, :3] @ points.T + T[:, :3, 3:]
+    beyond = ((moved - surface) * normals).sum(axis=1)
+    towards = (moved * normals).sum(axis=1)
+    towards /= np.maximum(projected.depth_m, np.float32(1e-3))
+    off = projected.depth_m - there
+    np.divide(beyond, towards, out=off, where=np.abs(towards) > MIN_FACING)
+    return off, projected, there > 0
+
+
+class Scores(NamedTuple):
+    """How well poses (n,) of one pair of views agree: inliers less half of what stands in the way.
+
+    The mean over several tolerances, as a share of what can be compared.
+    """
+
+    score: Floats
+    visible_ratio: Floats
+    fall: Floats
+    """(n,) by how much less than the first one, over the points that both can compare."""
+    fall_error: Floats
+    """(n,) its standard error, as it varies between blocks of the images: neighbours err alike."""
+
+
+def scores(
+    views: ViewStack, query: int, match: int, T_match_query: Array, n_points: int = 400
+) -> Scores:
+    """Score poses (n, 4, 4) of a pair of views, and compare them with the first."""
+    n = len(T_match_query)
+    worth, known, block = [], [], []
+    for own, other, T in (
+        (query, match, T_match_query),
+        (match, query, se3.inverse(T_match_query)),
+    ):
+        points = views.sampled(own, n_points)
+        off, projected, seen = _depth_beyond(views, points, np.full(n, other), T.astype(np.float32))
+        total = np.zeros(off.shape, np.float32)
+        for fixed, share in SCORE_TOLERANCES:
+            allowed = fixed + share * projected.depth_m
+            total += np.abs(off) < allowed
+            total -= np.float32(0.5) * (off < -allowed)
+        total *= seen / np.float32(len(SCORE_TOLERANCES))
+        worth.append(total)
+        known.append(seen)
+        block.append(views.sampled_blocks(own, BLOCKS, n_points))
+    both, all_known = np.concatenate(worth, axis=1), np.concatenate(known, axis=1)
+    n_known = np.maximum(all_known.sum(axis=1), 1)
+    paired = all_known & all_known[0]
+    n_paired = np.maximum(paired.sum(axis=1), 1)
+    difference = (both[0] - both) * paired
+    fall = difference.sum(axis=1) / n_paired
+    difference -= fall[:, None] * paired
+    n_blocks = BLOCKS[0] * BLOCKS[1]
+    blocks = np.concatenate([block[0], block[1] + n_blocks])
+    member = np.zeros((len(blocks), 2 * n_blocks), np.float32)
+    member[np.arange(len(blocks)), blocks] = 1.0
+    squares = np.square(difference @ member).sum(axis=1)
+    return Scores(
+        both.sum(axis=1) / n_known,
+        np.minimum(known[0].mean(axis=1), known[1].mean(axis=1)),
+        fall,
+        np.sqrt(squares) / n_paired,
+    )
 
 
 def agreement(

@@ -104,12 +104,28 @@ def agree(
     max_distance_m: float,
     max_angle_rad: float,
 ) -> NDArray[np.bool_]:
-    """Tell of each other loop, (n,), whether going round both ends where it began, nearly."""
+    """Tell of each other loop, (n,), whether going round both ends where it began, nearly.
+
+    Tolerances are widened by the loops' own covariances: along directions that either leaves open
+    an error speaks neither for nor against.
+    """
     errors = circuit_errors(loop, others, T_map_camera)
+    if len(errors) == 0:
+        return np.zeros(0, dtype=bool)
+    tolerance = np.repeat([max_angle_rad, max_distance_m], 3)
+    # Of the error in units of the tolerance, what its uncertainty leaves: as a Kalman filter would.
+    off = se3.log(errors) / tolerance
+    spread = np.array([_covariance(loop, tolerance) + _covariance(o, tolerance) for o in others])
+    off = np.linalg.solve(np.eye(6) + spread, off[..., None])[..., 0]
     return np.asarray(
-        (np.linalg.norm(errors[:, :3, 3], axis=1) <= max_distance_m)
-        & (se3.rotation_angle(errors) <= max_angle_rad)
+        (np.linalg.norm(off[:, :3], axis=1) <= 1.0) & (np.linalg.norm(off[:, 3:], axis=1) <= 1.0)
     )
+
+
+def _covariance(loop: Loop, unit: Array) -> Array:
+    """Return a loop's covariance (6, 6) in squares of the units (6,)."""
+    information = loop.information * np.outer(unit, unit)
+    return np.asarray(np.linalg.inv(information + 1e-6 * np.eye(6)))
 
 
 def circuit_errors(loop: Loop, others: Sequence[Loop], T_map_camera: Array) -> Array:

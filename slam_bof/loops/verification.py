@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.geometry import se3
+from slam_bof.geometry import is_partial, se3
 from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoiningParams
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.places import Compare
@@ -157,6 +157,8 @@ class LoopVerification:
                 )
                 decision = Decision.REJECTED if reason else Decision.ACCEPTED
             if decision == Decision.ACCEPTED:
+                if candidate.kind == EdgeKind.LOOP and is_partial(verified.information):
+                    candidate = replace(candidate, kind=EdgeKind.PARTIAL)
                 loop = Loop(
                     candidate.query_id,
                     candidate.match_id,
@@ -165,7 +167,8 @@ class LoopVerification:
                     candidate.kind,
                     candidate.source,
                 )
-                (loops if candidate.kind == EdgeKind.LOOP else edges).append(loop)
+                is_neighbour = candidate.kind == EdgeKind.COVISIBILITY
+                (edges if is_neighbour else loops).append(loop)
             judged.append(
                 replace(
                     candidate,
@@ -183,7 +186,12 @@ class LoopVerification:
     ) -> list[Loop]:
         """Take the newest keyframe's verified loops; return those that others agree with now."""
         within = [loop for loop in loops if components[loop.query_id] == components[loop.match_id]]
-        between = [loop for loop in loops if components[loop.query_id] != components[loop.match_id]]
+        between = [
+            loop
+            for loop in loops
+            if components[loop.query_id] != components[loop.match_id]
+            and loop.kind != EdgeKind.PARTIAL
+        ]
         admitted = self._gate.admit(within, T_map_camera, components)
         return admitted + self._join_gate.admit(between, T_map_camera, components)
 
@@ -277,7 +285,7 @@ def _hold(
         pair = candidate.query_id, candidate.match_id
         if (
             candidate.decision != Decision.ACCEPTED
-            or candidate.kind != EdgeKind.LOOP
+            or candidate.kind == EdgeKind.COVISIBILITY
             or pair in pairs
         ):
             return candidate

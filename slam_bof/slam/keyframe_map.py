@@ -176,7 +176,13 @@ class KeyframeMap:
         self._scene_filter = SceneFilter(self._labels)
 
     def add(
-        self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
+        self,
+        frame_index: int,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        *,
+        segment: int,
+        step_covariance: Array | None = None,
     ) -> Verified:
         """Add a frame as the newest keyframe; return the decisions about its loop candidates."""
         with self._clock.stage("describe"):
@@ -198,6 +204,7 @@ class KeyframeMap:
             segment=segment,
             smoothed=smoothed,
             session=self.session,
+            step_covariance=step_covariance,
         )
         return self.add_described(keyframe, frame)
 
@@ -234,7 +241,7 @@ class KeyframeMap:
         self._detector.remember(keyframe, frame, record.candidates)
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
-        loops = [loop for loop in record.measured if loop.kind == EdgeKind.LOOP]
+        loops = [loop for loop in record.measured if loop.kind != EdgeKind.COVISIBILITY]
         self._verification.admit(loops, self.graph.poses(), self.components)
         self._add_loops(keyframe, record.admitted)
 

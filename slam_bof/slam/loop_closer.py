@@ -95,17 +95,30 @@ class LoopCloser:
             clock=clock,
         )
 
-    def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
+    def process(
+        self, frame: DepthFrame, T_odom_camera: Pose, covariance: ArrayLike | None = None
+    ) -> Step:
         """Process a frame and its odometry pose (4, 4); return the correction by the map.
+
+        Parameters
+        ----------
+        frame
+            The depth image.
+        T_odom_camera
+            (4, 4) where odometry has the camera.
+        covariance
+            (6, 6) or (36,) of odometry's step since the frame before, in m^2 and rad^2, in the
+            order of ``nav_msgs/Odometry``: x y z rotX rotY rotZ, along the axes of the camera.
+            Without one, odometry's errors are learnt by what the surfaces hold.
 
         Raises
         ------
         ValueError
             If the time stamp does not increase, the camera differs from that of the frames before,
-            or the pose is not a finite rigid transform. Such a frame is ignored, and the next call
-            may continue.
+            the pose is not a finite rigid transform, or the covariance is not one. Such a frame is
+            ignored, and the next call may continue.
         """
-        return self._process(frame, T_odom_camera)
+        return self._process(frame, T_odom_camera, covariance=covariance)
 
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
         """Process a point cloud instead of a depth image, like ``process``.
@@ -217,7 +230,11 @@ class LoopCloser:
 
     @one_blas_thread()
     def _process(
-        self, frame: DepthFrame, T_odom_camera: Pose, T_view_camera: Pose | None = None
+        self,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        T_view_camera: Pose | None = None,
+        covariance: ArrayLike | None = None,
     ) -> Step:
         frame_index = len(self.history)
         last_s = self.history.last_stamp_s
@@ -232,10 +249,11 @@ class LoopCloser:
         except ValueError as error:
             place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
             raise ValueError(f"{place}: {error}") from None
+        step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
         self._camera = camera
         frame = quantize_depth(frame)
         with self._clock.stage("track"):
-            track = self._tracker.track(frame, T_odom_camera)
+            track = self._tracker.track(frame, T_odom_camera, step_covariance)
         segment = LOST if track.is_lost else track.segment
         self.history.frames.append(
             FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
@@ -248,12 +266,20 @@ class LoopCloser:
             frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
             self._tracker.keep()
+            self.history.frames[-1] = replace(
+                self.history.frames[-1], covariance=track.step_covariance
+            )
             step = self._add_keyframe(frame_index, frame, track)
         else:
             scene = self._map.keyframes[-1].scene if self._map.keyframes else None
             step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
         T_map_camera = self._map.T_map_track @ track.T_odom_camera
-        return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
+        return replace(
+            step,
+            T_map_odom=T_map_camera @ se3.inverse(T_odom_camera),
+            open_axes=track.open_axes,
+            covariance=track.covariance,
+        )
 
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""
@@ -265,7 +291,13 @@ class LoopCloser:
 
     def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
         unsaved = tuple(self.frames_since_keyframe)
-        verified = self._map.add(frame_index, frame, track.T_odom_camera, segment=track.segment)
+        verified = self._map.add(
+            frame_index,
+            frame,
+            track.T_odom_camera,
+            segment=track.segment,
+            step_covariance=track.step_covariance,
+        )
         keyframe = self._map.keyframes[-1]
         candidates, admitted = tuple(verified.candidates), tuple(verified.admitted)
         if self.journal is not None:
@@ -286,3 +318,18 @@ class LoopCloser:
                 )
                 self.journal(record)
         return Step(keyframe, keyframe.scene, admitted, candidates, np.eye(4))
+
+
+def _rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
+    """Return a covariance in the order of nav_msgs/Odometry with the rotation first, checked."""
+    found = np.asarray(covariance, dtype=np.float64)
+    place = f"covariance of frame {frame_index}"
+    if found.size != 36:
+        raise ValueError(f"{place}: found an array {found.shape}, expected (6, 6)")
+    found = found.reshape(6, 6)
+    if not np.isfinite(found).all() or np.abs(found - found.T).max() > 1e-6 * np.abs(found).max():
+        raise ValueError(f"{place}: expected 36 finite numbers, symmetric")
+    if np.linalg.eigvalsh(found)[0] < -1e-9 * max(float(np.trace(found)), 1e-30):
+        raise ValueError(f"{place}: expected no negative variance in any direction")
+    order = [3, 4, 5, 0, 1, 2]
+    return np.asarray(found[np.ix_(order, order)])

@@ -57,7 +57,7 @@ def _closed(backend: Backend, truth: Array, odometry: Array) -> Backend:
     drift_m = _error_m(odometry, truth)
     for k in range(0, N, 2):
         T = se3.inverse(truth[k]) @ truth[N + k]
-        backend.add_loop(Loop(N + k, k, T, 100.0 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
+        backend.add_loop(Loop(N + k, k, T, 1e4 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
     backend.update()
     online_m = _error_m(backend.poses(), truth)
     expect(
@@ -65,7 +65,7 @@ def _closed(backend: Backend, truth: Array, odometry: Array) -> Backend:
         f"update must reduce drift by true loops: {drift_m:.3f} m before, {online_m:.3f} m after",
     )
     wrong = se3.inverse(truth[1]) @ truth[N + 1] @ se3.pose(np.eye(3), [0.7, 0.0, 0.5])
-    backend.add_loop(Loop(N + 1, 1, wrong, 100.0 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
+    backend.add_loop(Loop(N + 1, 1, wrong, 1e4 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
     backend.update()
     weights = backend.optimize()
     expect(len(weights) == N // 2 + 1, f"a weight for each loop is expected, got {len(weights)}")

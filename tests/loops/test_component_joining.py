@@ -32,7 +32,7 @@ def walked_down():
 def loop(poses, i, wrong=None):
     """Keyframe 12 + i stands where keyframe i does."""
     T = np.eye(4) if wrong is None else wrong
-    return Loop(N + i, i, T, np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
+    return Loop(N + i, i, T, 1e5 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
 
 
 class Compare:
@@ -137,7 +137,7 @@ def test_loops_back_from_the_older_part_bear_witness_as_well(looked_about):
     gate = ComponentJoiningGate(ComponentJoiningParams(), Compare())
     there = [loop(looked_about, i) for i in (0, 3)]
     back = [
-        Loop(2 * N + i, N + i, np.eye(4), np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
+        Loop(2 * N + i, N + i, np.eye(4), 1e5 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
         for i in (6, 9)
     ]
     assert admit(gate, [*there, back[0]], poses, components) == []
@@ -158,7 +158,7 @@ def test_one_keyframe_is_one_witness_however_many_it_recognises(looked_about):
             2 * N,
             N + i,
             se3.inverse(looked_about[i]) @ poses[-1],
-            np.eye(6),
+            1e5 * np.eye(6),
             EdgeKind.LOOP,
             CandidateSource.VIEW,
         )

@@ -23,7 +23,7 @@ def loop(query_id, match_id, wrong=None):
         query_id,
         match_id,
         T if wrong is None else T @ wrong,
-        np.eye(6),
+        1e5 * np.eye(6),
         EdgeKind.LOOP,
         CandidateSource.BAG,
     )

@@ -22,7 +22,7 @@ class CentroidVerifier:
 
     overlap: float = 0.9
     turn_rad: float = 0.0
-    information: np.ndarray = field(default_factory=lambda: np.eye(6))
+    information: np.ndarray = field(default_factory=lambda: 1e5 * np.eye(6))
 
     def prepare(self, frame, points_camera):
         return points_camera.mean(axis=0)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from verifiers import verify
 
-from slam_bof.geometry import PointParams, points_camera, se3
+from slam_bof.geometry import PointParams, is_partial, points_camera, se3
 from slam_bof.synthetic import spin
 from slam_bof.types import DepthFrame, Intrinsics
 from slam_bof_plugins.verifier_open3d import Open3dVerifier
@@ -74,12 +74,11 @@ def wall():
     return points
 
 
-def test_a_bare_wall_is_no_loop(verifier, wall):
+def test_a_bare_wall_leaves_a_pose_open(verifier, wall):
     """It fits itself wherever one slides along it."""
     prepared = prepare(verifier, wall)
     verified = verify(verifier, prepared, prepared, np.eye(4))
-    assert not verified.accepted
-    assert "degenerate" in verified.reason
+    assert is_partial(verified.information)
 
 
 def test_information_is_in_the_query_s_axes_rotation_first(verifier, wall):
