@@ -22,6 +22,7 @@ def import_open3d() -> ModuleType:
     The Open3D wheel needs libusb-1.0, which minimal systems lack; ``libusb-package`` provides it.
     With several threads the summation order in Open3D's ICP varies, so that the last bits of
     poses would differ between runs. One thread is enough for the point cloud of a keyframe.
+    A program that imported Open3D itself before has its threads, and poses to some 13 digits.
     """
     if ctypes.util.find_library("usb-1.0") is None:
         import libusb_package

@@ -5,18 +5,19 @@ from dataclasses import replace
 import cv2
 import gtsam
 import numpy as np
-import open3d
 import pytest
 import yaml
 from saved_maps import make_keyframe, save
 
 from slam_bof import LoopCloser
-from slam_bof.core import registry
+from slam_bof.core import import_open3d, registry
 from slam_bof.errors import MapError
 from slam_bof.geometry import loop_information, read_tum, se3
 from slam_bof.maps import OccupancyGridParams, export_map, session_trajectory
 from slam_bof.maps.occupancy_grid import FREE, OCCUPIED, UNKNOWN, build_occupancy_grid
 from slam_bof.store import MapStore, Session, SessionResult
+
+open3d = import_open3d()
 
 PER_QUATERNION = np.array([0.5, 0.5, 0.5, 1.0, 1.0, 1.0])
 """GTSAM's reader takes g2o's information about quaternions for that about rotation vectors."""

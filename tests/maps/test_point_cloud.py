@@ -9,11 +9,13 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import open3d
 import pytest
 
+from slam_bof.core import import_open3d
 from slam_bof.maps.point_cloud import write_keyframe_cloud
 from slam_bof.types import DepthFrame, Intrinsics
+
+open3d = import_open3d()
 
 CAMERA = Intrinsics(160, 120, 140.0, 140.0, 79.5, 59.5)
 
