@@ -209,6 +209,7 @@ class Keyframe:
     segment: int = 0
     smoothed: Scene | None = None
     session: int = 0
+    step_covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,9 @@ view are tried first: that is for views found alike, not for any two.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+import os
+OPENV=bool(int(os.environ.get('OPENV','1')))
 
 import numpy as np
 from pydantic import Field
@@ -18,6 +21,7 @@ from slam_bof.geometry import (
     ViewAligner,
     assess_registration,
     make_view,
+    open_directions,
 )
 from slam_bof.types import Array, DepthFrame, Verification
 
@@ -82,17 +86,32 @@ class ProjectiveVerifier:
             T = self._aligner.refine(query, ids, T_match_query)
         overlap, free_space_violation = self._aligner.inlier_ratio(query, ids, T)
         pairs = self._aligner.surface_pairs(query, ids, T)
-        return [
+        verifications = [
             assess_registration(
                 self.params,
                 T[k],
-                *pairs[k],
+                pairs[k].points_query,
+                pairs[k].normals_query,
+                pairs[k].residuals_m,
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
                 reason_against=self._reason_against(float(free_space_violation[k])),
             )
             for k in range(len(ids))
         ]
+        return [
+            self._opened(query, int(match), v) if v.accepted and OPENV else v
+            for match, v in zip(ids, verifications, strict=True)
+        ]
+
+    def _opened(self, query: int, match: int, verification: Verification) -> Verification:
+        found = open_directions(self._aligner, query, match, verification.T_match_query)
+        if found is None or found[1].shape[1] == 0:
+            return verification
+        directions, axes = found
+        return replace(
+            verification, information=directions.without(verification.information, axes)
+        )
 
     def _reason_against(self, free_space_violation: float) -> str:
         if free_space_violation <= self.params.max_free_space_violation:

@@ -28,6 +28,11 @@ from .gravity import (
     down_of_map as down_of_map,
     level_frame as level_frame,
 )
+from .observability import (
+    PrincipalDirections as PrincipalDirections,
+    open_directions as open_directions,
+    search_weak_directions as search_weak_directions,
+)
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
     ViewAligner as ViewAligner,

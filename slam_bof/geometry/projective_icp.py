@@ -20,7 +20,15 @@ from scipy.spatial.transform import Rotation
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
-from slam_bof.geometry.visibility import Agreement, Coverage, agreement, classify_points, coverage
+from slam_bof.geometry.visibility import (
+    Agreement,
+    AgreementScore,
+    Coverage,
+    agreement,
+    agreement_score,
+    classify_points,
+    coverage,
+)
 from slam_bof.types import Array, Params
 
 __all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
@@ -29,6 +37,17 @@ ORBIT_M = 2.0
 """Half the random motions turn about a point so far ahead, at which the camera keeps looking."""
 MIN_COSINE = 0.6
 """Between the normals of points that match."""
+MIN_SPREAD = np.float32(0.02)
+"""Mean square of normals along a direction, below which it is their noise."""
+MIN_INFORMATION = np.float32(0.003)
+"""Share of the points' weight that must hold a direction for a step along it to be taken whole."""
+N_COARSE_POINTS = 400
+MIN_PAIRS = 12
+MAX_LEVERAGE = np.float32(10.0)
+"""So many times as much as others may a point weigh whose normal is rare."""
+import os
+IV = bool(int(os.environ.get("IV", "1")))
+LEVERAGE = bool(int(os.environ.get("LEV", "1")))
 CHUNK = 2**15
 """Points computed at a time, that they stay in the cache."""
 
@@ -109,6 +128,8 @@ class SurfacePairs(NamedTuple):
     """(M, 3)."""
     normals_query: Array
     """(M, 3), of the match's surface."""
+    facing_query: Array
+    """(M, 3), of the query's own surface."""
     residuals_m: Array
     """(M,) from the point to the surface, along the normal."""
 
@@ -118,10 +139,12 @@ class _Association(NamedTuple):
 
     points: Floats
     """(n, 3, m)."""
-    normals: Floats
+    normals_query: Floats
+    """(n, 3, m), of the query's surface."""
+    normals_match: Floats
     """(n, 3, m), of the matches' surfaces."""
     residuals_m: Floats
-    """(n, m)."""
+    """(n, m), along the normals of the matches' surfaces."""
     matched: NDArray[np.bool_]
     """(n, m)."""
 
@@ -201,12 +224,12 @@ class ViewAligner:
         gate_m = np.float32(self.params.gates_m[-1])
         T = T_match_query.astype(np.float32)
         found = self._associate(query, matches, T, gate_m, self.params.n_points)
-        points = self._views.surface(query)[0].astype(np.float64)
+        points, facing = (a.astype(np.float64) for a in self._views.surface(query))
         pairs = []
         for k, matched in enumerate(found.matched):
-            normals = found.normals[k][:, matched].T @ T_match_query[k, :3, :3]
+            normals = found.normals_match[k][:, matched].T @ T_match_query[k, :3, :3]
             residuals_m = found.residuals_m[k][matched].astype(np.float64)
-            pairs.append(SurfacePairs(points[matched], normals, residuals_m))
+            pairs.append(SurfacePairs(points[matched], normals, facing[matched], residuals_m))
         return pairs
 
     def inlier_ratio(
@@ -221,6 +244,17 @@ class ViewAligner:
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
         return agreement(self._views, query, matches, T_match_query, self.params.tolerance)
+
+    def agreement_score(self, query: int, matches: Indices, T_match_query: Array) -> AgreementScore:
+        """Score by how much the query agrees with each match (n,) at a pose (n, 4, 4)."""
+        return agreement_score(self._views, query, matches, T_match_query)
+
+    def coarse_score(self, query: int, match: int, T_match_query: Array) -> Floats:
+        """Score poses (n, 4, 4) of one pair by few points and one way only: quick, and coarse."""
+        tolerance = np.array(self.params.tolerance, np.float32)
+        points = self._views.sampled(query, N_COARSE_POINTS)
+        poses = T_match_query.astype(np.float32)[None]
+        return np.asarray(self._score(points, np.array([match]), poses, tolerance)[0])
 
     def coverage(self, query: int, matches: Indices, T_match_query: Array) -> Coverage:
         """Measure how far the query agrees with all matches (n,) together at poses (n, 4, 4)."""
@@ -270,12 +304,13 @@ class ViewAligner:
         moved += T[:, :3, 3:]
         gap -= moved
         residuals_m = _dot(gap, normals)
+        turned = _rotate(T, facing)
         # Where nothing is known the normal is zero, and so is the cosine.
-        matched = _dot(normals, _rotate(T, facing)) > MIN_COSINE
+        matched = _dot(normals, turned) > MIN_COSINE
         matched &= projected.inside
         matched &= _dot(gap, gap) < 4.0 * gate_m**2
         matched &= np.abs(residuals_m) < gate_m
-        return _Association(moved, normals, residuals_m, matched)
+        return _Association(moved, turned, normals, residuals_m, matched)
 
 
 def _chunks(n: int, n_each: int) -> Iterator[slice]:
@@ -316,30 +351,66 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _step(found: _Association, gate_m: np.float32) -> Floats:
-    """Return the small motions (n, 6), rotation first, of damped weighted least squares."""
-    points, normals, residuals_m, matched = found
-    x, y, z = points.transpose(1, 0, 2)
-    a, b, c = normals.transpose(1, 0, 2)
+    """Return the small motions (n, 6), rotation first, of weighted least squares by instruments.
+
+    Residuals and their derivatives are along the match's normals; the equations are formed with the
+    query's, whose noise is independent (instrumental variables). By the match's normals alone each
+    point would be drawn to the centre of the pixel that it fell on, and the variance of normals
+    would pass for information. What the surfaces leave open is not moved.
+    """
+    points, normals_query, normals_match, residuals_m, matched = found
     n, _, m = points.shape
-    rows = np.empty((n, 7, m), np.float32)
-    rows[:, 0] = y * c - z * b
-    rows[:, 1] = z * a - x * c
-    rows[:, 2] = x * b - y * a
-    rows[:, 3:6] = normals
-    rows[:, 6] = residuals_m
     # Geman-McClure, and less for what is far, whose depth is less sure.
     weight = residuals_m * (np.float32(2.0) / gate_m)
     weight *= weight
     weight += np.float32(1.0)
     weight *= weight
-    weight *= np.float32(0.2) + np.float32(0.2) * z * z
+    weight *= np.float32(0.2) + np.float32(0.2) * np.square(points[:, 2])
     np.divide(matched, weight, out=weight)
-    products = (rows[:, :6] * weight[:, None]) @ rows.transpose(0, 2, 1)
-    normal_matrix, gradient = products[..., :6], products[..., 6:]
-    # What the surfaces leave open stays as it is.
-    damping = 1e-3 + 0.0005 * np.trace(normal_matrix, axis1=1, axis2=2)
-    normal_matrix = normal_matrix + damping[:, None, None] * np.eye(6, dtype=np.float32)
-    return np.linalg.solve(normal_matrix, gradient)[..., 0]
+    if LEVERAGE:
+        weight *= _leverage(normals_query, matched)
+    total = np.maximum(weight.sum(axis=1), np.float32(1e-6))
+    weight /= total[:, None]
+    centre = (points @ weight[:, :, None])[..., 0]
+    offsets = points - centre[..., None]
+    radius_m = np.sqrt(np.maximum((_dot(offsets, offsets) * weight).sum(axis=1), np.float32(1e-4)))
+    offsets /= radius_m[:, None, None]
+    rows = np.empty((n, 7, m), np.float32)
+    rows[:, :3] = _cross(offsets, normals_match)
+    rows[:, 3:6] = normals_match
+    rows[:, 6] = residuals_m
+    instruments = np.concatenate([_cross(offsets, normals_query), normals_query], axis=1)
+    instruments *= weight[:, None]
+    products = instruments @ rows.transpose(0, 2, 1)
+    cross = products[..., :6]
+    values, vectors = np.linalg.eigh(0.5 * (cross + cross.transpose(0, 2, 1)))
+    gains = np.maximum(values, 0.0) / (np.square(values) + MIN_INFORMATION**2)
+    along = vectors.transpose(0, 2, 1) @ products[..., 6:]
+    scaled = (vectors @ (gains[..., None] * along))[..., 0]
+    scaled *= (matched.sum(axis=1) >= MIN_PAIRS)[:, None]
+    turns = scaled[:, :3] / radius_m[:, None]
+    return np.concatenate([turns, scaled[:, 3:] + np.cross(centre, turns)], axis=1)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Return the cross products (n, 3, m) of vectors (n, 3, m)."""
+    x, y, z = a.transpose(1, 0, 2)
+    u, v, w = b.transpose(1, 0, 2)
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+
+
+def _leverage(normals: Floats, matched: NDArray[np.bool_]) -> Floats:
+    """Weigh points (n, m) by how rare their normals (n, 3, m) are: n' N^-1 n, N their mean square.
+
+    A floor of thousand points then has no more say than the few that hold it sideways (normal-space
+    sampling, Rusinkiewicz and Levoy 2001, by weights).
+    """
+    kept = normals * matched[:, None]
+    count = np.maximum(matched.sum(axis=1), 1)[:, None, None].astype(np.float32)
+    spread = kept @ kept.transpose(0, 2, 1) / count
+    spread = spread + MIN_SPREAD * np.eye(3, dtype=np.float32)
+    leverage = _dot(normals, np.linalg.inv(spread) @ normals)
+    return np.asarray(np.minimum(leverage * np.float32(1.0 / 3.0), MAX_LEVERAGE))
 
 
 def _exp(tangent: Floats) -> Floats:

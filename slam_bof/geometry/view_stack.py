@@ -26,11 +26,20 @@ NORMAL_STEPS = 127
 """Number of steps per unit in which normals are stored as bytes."""
 
 
+MAX_STEP = np.float32(0.03)
+"""Neighbouring depths are interpolated up to a difference of this share of (1 m + depth)."""
+
+
 class ProjectedPoints(NamedTuple):
     """Projections of points into images; each array is (n, m)."""
 
     column: Floats
+    """Of the nearest pixel, as are the rows."""
     row: Floats
+    beside: Floats
+    """From there to the projection, in columns, -0.5 to 0.5."""
+    below: Floats
+    """The same in rows."""
     depth_m: Floats
     """Depth of the points, not of the image."""
     inside: NDArray[np.bool_]
@@ -130,15 +139,18 @@ class ViewStack:
             column, row, depth = (project.transpose(1, 0, 2) @ extended).transpose(1, 0, 2)
         inverse = np.maximum(depth, NEAR_M)
         np.divide(np.float32(1.0), inverse, out=inverse)
-        for pixel in (column, row):
-            pixel *= inverse
-            np.rint(pixel, out=pixel)
+        column *= inverse
+        row *= inverse
+        beside, below = column, row
+        column, row = np.rint(column), np.rint(row)
+        beside -= column
+        below -= row
         inside = depth > NEAR_M
         inside &= column >= 0
         inside &= column < camera.width
         inside &= row >= 0
         inside &= row < camera.height
-        return ProjectedPoints(column, row, depth, inside)
+        return ProjectedPoints(column, row, beside, below, depth, inside)
 
     def depth_at(self, views: int | Indices, projected: ProjectedPoints) -> tuple[Floats, Indices]:
         """Return the depths (n, m) of views (n,) at projected points, 0 outside, and flat indices.
@@ -153,6 +165,37 @@ class ViewStack:
         addresses += np.asarray(views)[..., None] * len(self._rays)
         depth_m = self._depths_m.rows.reshape(-1).take(addresses)
         depth_m *= projected.inside
+        return depth_m, addresses
+
+    def interpolated_depth_at(
+        self, views: int | Indices, projected: ProjectedPoints
+    ) -> tuple[Floats, Indices]:
+        """Return what ``depth_at`` does, interpolated between pixels where they show one surface.
+
+        The inverse depth of a plane is linear in the image. Taken at whole pixels instead, depth on
+        a floor that is seen at a flat angle may be off by decimetres, and views would seem to agree
+        best where whole pixels meet.
+        """
+        assert self._camera is not None
+        width = self._camera.width
+        depth_m, addresses = self.depth_at(views, projected)
+        flat = self._depths_m.rows.reshape(-1)
+        inverse = np.zeros_like(depth_m)
+        np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
+        change = np.zeros_like(depth_m)
+        for offset, step in ((projected.beside, 1), (projected.below, width)):
+            aside = np.where(offset > 0, step, -step)
+            aside += addresses
+            near_m = flat.take(aside, mode="clip")
+            is_same = np.abs(near_m - depth_m) < MAX_STEP * (np.float32(1.0) + depth_m)
+            is_same &= near_m > 0
+            np.divide(np.float32(1.0), near_m, out=near_m, where=is_same)
+            near_m -= inverse
+            near_m *= np.abs(offset)
+            near_m *= is_same
+            change += near_m
+        inverse += change
+        np.divide(np.float32(1.0), inverse, out=depth_m, where=depth_m > 0)
         return depth_m, addresses
 
     def surface_at(self, views: Indices, projected: ProjectedPoints) -> tuple[Floats, Floats]:

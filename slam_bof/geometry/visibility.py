@@ -16,7 +16,21 @@ from slam_bof.geometry import se3
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.types import Array
 
-__all__ = ["Agreement", "Coverage", "PointVisibility", "agreement", "classify_points", "coverage"]
+__all__ = [
+    "Agreement",
+    "AgreementScore",
+    "Coverage",
+    "PointVisibility",
+    "agreement",
+    "agreement_score",
+    "classify_points",
+    "coverage",
+]
+
+
+SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
+"""Metres and shares of depth: coarse ones tell from afar, fine ones which of two is the better."""
+N_SCORE_POINTS = 500
 
 
 class Agreement(NamedTuple):
@@ -41,6 +55,16 @@ class Coverage(NamedTuple):
     """Of these, the share that stands in front of what more of the others see than see it."""
     free_space_violation_reverse: float
     """Of the others' points that fall where the view has a depth, the share in front of it."""
+
+
+class AgreementScore(NamedTuple):
+    """How well poses agree, each (n,)."""
+
+    score: Floats
+    """Share of inliers less half that of free-space violations, of all points that can be compared,
+    both ways; the mean over several tolerances."""
+    visible_ratio: Floats
+    """Share of points that can be compared; the smaller of both ways."""
 
 
 class PointVisibility(NamedTuple):
@@ -89,6 +113,35 @@ def agreement(
         free_space_violation + free_space_violation_reverse,
         np.minimum(visible_ratio, visible_ratio_reverse),
     )
+
+
+def agreement_score(
+    views: ViewStack, query: int, matches: Indices, T_match_query: Array
+) -> AgreementScore:
+    """Score poses (n, 4, 4) of the query in the matches (n,) finely enough to tell two apart."""
+    n_compared = np.zeros(len(matches))
+    worth = np.zeros(len(matches))
+    visible_ratio = np.ones(len(matches))
+    for points, others, T in (
+        (views.sampled(query, N_SCORE_POINTS), matches, T_match_query),
+        (
+            views.sampled(matches, N_SCORE_POINTS),
+            np.full(len(matches), query),
+            se3.inverse(T_match_query),
+        ),
+    ):
+        projected = views.project_points(points, T.astype(np.float32))
+        there, _ = views.interpolated_depth_at(others, projected)
+        known = there > 0
+        off = projected.depth_m - there
+        for fixed, share in SCORE_TOLERANCES:
+            allowed = fixed + share * projected.depth_m
+            worth += (known & (np.abs(off) < allowed)).sum(axis=1)
+            worth -= 0.5 * (known & (off < -allowed)).sum(axis=1)
+        n_compared += known.sum(axis=1)
+        visible_ratio = np.minimum(visible_ratio, known.mean(axis=1))
+    score = worth / (len(SCORE_TOLERANCES) * np.maximum(n_compared, 1.0))
+    return AgreementScore(score, visible_ratio)
 
 
 def coverage(

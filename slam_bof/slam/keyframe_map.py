@@ -176,7 +176,13 @@ class KeyframeMap:
         self._scene_filter = SceneFilter(self._labels)
 
     def add(
-        self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
+        self,
+        frame_index: int,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        *,
+        segment: int,
+        step_covariance: Array | None = None,
     ) -> Verified:
         """Add a frame as the newest keyframe; return the decisions about its loop candidates."""
         with self._clock.stage("describe"):
@@ -198,6 +204,7 @@ class KeyframeMap:
             segment=segment,
             smoothed=smoothed,
             session=self.session,
+            step_covariance=step_covariance,
         )
         return self.add_described(keyframe, frame)
 

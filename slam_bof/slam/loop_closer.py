@@ -265,7 +265,13 @@ class LoopCloser:
 
     def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
         unsaved = tuple(self.frames_since_keyframe)
-        verified = self._map.add(frame_index, frame, track.T_odom_camera, segment=track.segment)
+        verified = self._map.add(
+            frame_index,
+            frame,
+            track.T_odom_camera,
+            segment=track.segment,
+            step_covariance=track.step_covariance,
+        )
         keyframe = self._map.keyframes[-1]
         candidates, admitted = tuple(verified.candidates), tuple(verified.admitted)
         if self.journal is not None:

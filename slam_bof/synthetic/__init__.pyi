@@ -7,6 +7,16 @@ from .corridor import (
     make_corridor_tour as make_corridor_tour,
     write_corridor as write_corridor,
 )
+from .degenerate import (
+    DEGENERATE_SCENES as DEGENERATE_SCENES,
+    MOTIONS as MOTIONS,
+    DegenerateCase as DegenerateCase,
+    render_case as render_case,
+)
+from .depth_noise import (
+    SENSORS as SENSORS,
+    DepthSensor as DepthSensor,
+)
 from .disturbed import (
     Play as Play,
     darkened as darkened,

@@ -56,6 +56,11 @@ class OdometryFusion:
         self._T_track_odometry = _rigid(T_track @ se3.inverse(T_odometry))
         self._visits = []
 
+    def carry(self, T: Pose) -> None:
+        """Carry the track by ``T`` (4, 4), all poses so far with it."""
+        self._T_track_odometry = _rigid(T @ self._T_track_odometry)
+        self._visits = [visit._replace(T_aligned=T @ visit.T_aligned) for visit in self._visits]
+
     def change_reference(self) -> None:
         """Frames are aligned with another keyframe from now on, which shifts all of them."""
         self._visits = []

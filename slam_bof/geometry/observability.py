@@ -1,0 +1,171 @@
+"""Which directions of a relative pose the surfaces in two views hold, and whether a better pose is
+near.
+
+The curvature of point-to-plane residuals does not tell: it knows nothing of other minima, and the
+noise of normals passes for information. What tells is by how much two views agree less when one is
+shifted by a decimetre along a direction that the surfaces hold weakly. Where agreement does not
+fall, the direction is open: an alignment says nothing along it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from slam_bof.geometry import se3
+from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
+from slam_bof.types import Array, Pose
+
+__all__ = ["PrincipalDirections", "open_directions", "search_weak_directions"]
+
+MAX_WEAK_INFORMATION = 0.04
+"""Share of the points' information below which a direction is weakly held."""
+SHIFT_M = 0.1
+"""Views are shifted by so much to see whether they agree less."""
+MIN_SCORE_DROP = 0.02
+"""A smaller drop of agreement, shifted either way, leaves a direction open."""
+MIN_SCORE_GAIN = 0.01
+"""Another pose must agree better by this to be taken instead."""
+MIN_VISIBLE_SHARE = 0.8
+"""So much of the overlap must be left at another pose: agreement of a small rest is easily had."""
+SEARCH_ROUNDS = ((64, 0.15, 4), (32, 0.06, 2))
+"""Number of poses tried in a round, their spread in m, and the number refined of them."""
+OPEN_INFORMATION = 1e-6
+"""Share of the information that is left along open directions."""
+MIN_PAIRS = 30
+MIN_RADIUS_M = 0.05
+
+
+class PrincipalDirections(NamedTuple):
+    """The information in point-to-plane pairs, by direction.
+
+    Directions are columns of ``axes`` (6, 6), displacements in m of the query's points: a turn
+    about ``centre`` (3,) times ``radius_m``, then a translation, in the query's camera frame.
+    ``information`` (6,) is the share of each, in growing order.
+    """
+
+    centre: Array
+    radius_m: float
+    information: Array
+    axes: Array
+
+    @classmethod
+    def of(cls, pairs: SurfacePairs) -> PrincipalDirections | None:
+        """Return those of pairs of points and surfaces; nothing where hardly any points meet.
+
+        Products are of the query's normals with the match's, whose noise is independent, so that
+        noise does not add up to information.
+        """
+        points = pairs.points_query
+        if len(points) < MIN_PAIRS:
+            return None
+        centre = points.mean(axis=0)
+        offsets = points - centre
+        radius_m = max(float(np.sqrt(np.square(offsets).sum(axis=1).mean())), MIN_RADIUS_M)
+        offsets /= radius_m
+        by_query, by_match = (
+            np.hstack([np.cross(offsets, normals), normals])
+            for normals in (pairs.facing_query, pairs.normals_query)
+        )
+        cross = by_query.T @ by_match / len(points)
+        information, axes = np.linalg.eigh(0.5 * (cross + cross.T))
+        return cls(centre, radius_m, information, axes)
+
+    @property
+    def weak_axes(self) -> Array:
+        """The axes (6, k) of the directions that are weakly held."""
+        return self.axes[:, self.information < MAX_WEAK_INFORMATION]
+
+    def displace(self, displacement: Array) -> Pose:
+        """Return the motions (..., 4, 4) of displacements (..., 6)."""
+        tangent = np.zeros_like(displacement)
+        tangent[..., :3] = displacement[..., :3] / self.radius_m
+        T = se3.exp(tangent)
+        T[..., :3, 3] = displacement[..., 3:] + self.centre - T[..., :3, :3] @ self.centre
+        return T
+
+    def displacement(self, T: Pose) -> Array:
+        """Return the displacement (6,) of a small motion (4, 4)."""
+        turn = se3.log(T)[:3]
+        shift = T[:3, 3] - self.centre + T[:3, :3] @ self.centre
+        return np.concatenate([turn * self.radius_m, shift])
+
+    def of_tangent(self) -> Array:
+        """Return the (6, 6) that makes a displacement of a tangent, rotation first."""
+        x, y, z = self.centre
+        A = np.zeros((6, 6))
+        A[:3, :3] = self.radius_m * np.eye(3)
+        A[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        A[3:, 3:] = np.eye(3)
+        return A
+
+    def without(self, information: Array, axes: Array) -> Array:
+        """Return the information (6, 6) of a pose's tangent with next to none along axes (6, k)."""
+        A = self.of_tangent()
+        inverse = np.linalg.inv(A)
+        held = np.eye(6) - axes @ axes.T
+        kept = held @ inverse.T @ information @ inverse @ held
+        kept += OPEN_INFORMATION * np.trace(kept) * axes @ axes.T
+        return np.asarray(A.T @ kept @ A)
+
+    def keep(self, axes: Array, T: Pose, T_guess: Pose) -> Pose:
+        """Return the pose (4, 4) that is ``T_guess`` along some axes (6, k), and ``T`` else."""
+        off = self.displacement(se3.inverse(T) @ T_guess)
+        return T @ self.displace(axes @ (axes.T @ off))
+
+
+def open_directions(
+    aligner: ViewAligner, query: int, match: int, T_match_query: Pose
+) -> tuple[PrincipalDirections, Array] | None:
+    """Return an aligned pair's directions, and the axes (6, k) of those that nothing holds.
+
+    Nothing where hardly any surfaces meet.
+    """
+    (pairs,) = aligner.surface_pairs(query, np.array([match]), T_match_query[None])
+    directions = PrincipalDirections.of(pairs)
+    if directions is None:
+        return None
+    weak = directions.weak_axes
+    if weak.shape[1] == 0:
+        return directions, weak
+    shifts = SHIFT_M * np.concatenate([weak.T, -weak.T])
+    tried = np.concatenate([T_match_query[None], T_match_query @ directions.displace(shifts)])
+    score = aligner.agreement_score(query, np.full(len(tried), match), tried).score
+    drop = (score[0] - score[1:]).reshape(2, -1).max(axis=0)
+    return directions, weak[:, drop < MIN_SCORE_DROP]
+
+
+def search_weak_directions(
+    aligner: ViewAligner, query: int, match: int, T_match_query: Pose, starts: Array, *, seed: int
+) -> Pose:
+    """Return a better pose (4, 4) from other starts (n, 4, 4) or along weak directions, if any."""
+    rng = np.random.default_rng(seed)
+    best = T_match_query
+    before = aligner.agreement_score(query, np.array([match]), best[None])
+    best_score = before.score[0]
+    least_visible = MIN_VISIBLE_SHARE * before.visible_ratio[0]
+
+    def take_better(tried: Array) -> None:
+        nonlocal best, best_score
+        matches = np.full(len(tried), match)
+        T = aligner.refine(query, matches, tried)
+        score, visible_ratio = aligner.agreement_score(query, matches, T)
+        score = np.where(visible_ratio >= least_visible, score, -np.inf)
+        k = int(np.argmax(score))
+        if score[k] > best_score + MIN_SCORE_GAIN:
+            best, best_score = T[k], score[k]
+
+    if len(starts):
+        take_better(starts)
+    for n, sigma_m, n_best in SEARCH_ROUNDS:
+        (pairs,) = aligner.surface_pairs(query, np.array([match]), best[None])
+        directions = PrincipalDirections.of(pairs)
+        if directions is None:
+            break
+        weak = directions.axes[:, : max(1, min(4, directions.weak_axes.shape[1]))]
+        displacements = sigma_m * rng.standard_normal((n, weak.shape[1])) @ weak.T
+        tried = best @ directions.displace(displacements)
+        coarse = aligner.coarse_score(query, match, tried)
+        take_better(tried[np.argsort(-coarse, kind="stable")[:n_best]])
+    return best
