@@ -99,7 +99,7 @@ class LoopDetector:
             self._ranking = BagRanking(params, n_words)
         else:
             recogniser = PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom, seed=seed)
-            self.compare = recogniser.agreement
+            self.compare = recogniser.aligner.agreement
             self._ranking = ViewRanking(params, recogniser)
         self._keyframes: list[Keyframe] = []
         self._maxima: list[tuple[int, ...]] = []

@@ -213,7 +213,7 @@ class Localizer:
             self._registration.temporary_query(frame) as prepared,
         ):
             query = _Query(self._consistency.known_view(view_id, frame.intrinsics), prepared)
-            matches = self._recogniser.recognise_alone(view_id, len(self))
+            matches = self._recogniser.recognise(view_id, len(self), follow=False)
             return self._select_pose(query, matches[: self.params.n_verified])
 
     def _select_pose(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:

@@ -108,7 +108,7 @@ class MapConsistency:
 
     def known_view(self, view_id: int, camera: Intrinsics) -> KnownView:
         """Return a stored view of the recogniser."""
-        return KnownView(view_id, self._recogniser.points_camera(view_id, N_POINTS), camera)
+        return KnownView(view_id, self._recogniser.aligner.sampled(view_id, N_POINTS), camera)
 
     def overlaps(self, view: KnownView, T_map_view: Pose) -> Array:
         """Return the share (K,) of a view's points in each keyframe's frustum, 0 for itself."""
@@ -130,7 +130,7 @@ class MapConsistency:
         if len(near) == 0:
             return None
         T_near_view = se3.inverse(self._T_map_camera.rows[near]) @ T_map_view
-        return self._recogniser.coverage(view.view_id, near, T_near_view)
+        return self._recogniser.aligner.coverage(view.view_id, near, T_near_view)
 
     def limits(self, camera: Intrinsics) -> Coverage:
         """Return the smallest visible and inlier ratios and the largest free-space violations."""

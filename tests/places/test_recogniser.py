@@ -121,7 +121,7 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
     assert again not in shortlist.view_ids
     assert set(shortlist.view_ids) <= set(range(N_ROUND))
     assert recogniser.recognise(asking, asking)[0].view_id == 1
-    agreement = recogniser.agreement(again, np.array([1]), np.eye(4)[None])
+    agreement = recogniser.aligner.agreement(again, np.array([1]), np.eye(4)[None])
     assert agreement.inlier_ratio[0] > 0.99
 
 
@@ -132,10 +132,12 @@ def test_a_guest_is_forgotten_and_follows_nothing(tour):
     before = recogniser.nbytes
     with recogniser.temporary_query(frames[13]) as view_id:
         assert view_id == len(recogniser) - 1 == len(frames)
-        alone = recogniser.recognise_alone(view_id, N_ROUND)
+        alone = recogniser.recognise(view_id, N_ROUND, follow=False)
         assert [match.view_id for match in alone] == [6]
-        assert 6 not in {m.view_id for m in recogniser.recognise_alone(view_id, 9, exclude=[6])}
-        assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).inlier_ratio > 0.99
+        others = recogniser.recognise(view_id, 9, exclude=[6], follow=False)
+        assert 6 not in {match.view_id for match in others}
+        same = recogniser.aligner.coverage(view_id, np.array([13]), np.eye(4)[None])
+        assert same.inlier_ratio > 0.99
     assert len(recogniser) == len(frames)
     assert recogniser.nbytes == before
     fresh = remember(tour, search={"n_compared": 1})
