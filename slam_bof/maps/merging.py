@@ -125,7 +125,7 @@ def _add_session(
         keyframe = replace(
             old, id=len(keyframes), session=keyframes.session, segment=old.segment + later
         )
-        verified = keyframes.add_described(keyframe, restore_frame(record.depth, keyframe.stamp_s))
+        verified = keyframes.add(keyframe, restore_frame(record.depth, keyframe.stamp_s))
         own = tuple(frames[start : keyframe.frame_index + 1])
         start = keyframe.frame_index + 1
         target.write(

@@ -175,10 +175,10 @@ class KeyframeMap:
         self._detector.begin_session(self._gravity_odom)
         self._scene_filter = SceneFilter(self._labels)
 
-    def add(
+    def describe(
         self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
-    ) -> Verified:
-        """Add a frame as the newest keyframe; return the decisions about its loop candidates."""
+    ) -> Keyframe:
+        """Describe and label a frame as the next keyframe."""
         with self._clock.stage("describe"):
             gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
@@ -188,7 +188,7 @@ class KeyframeMap:
                 smoothed = self._scene_filter.update(
                     scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
                 )
-        keyframe = Keyframe(
+        return Keyframe(
             id=len(self),
             frame_index=frame_index,
             stamp_s=frame.stamp_s,
@@ -199,10 +199,9 @@ class KeyframeMap:
             smoothed=smoothed,
             session=self.session,
         )
-        return self.add_described(keyframe, frame)
 
-    def add_described(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
-        """Add a keyframe whose bag of words and scene label are known."""
+    def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
+        """Add the newest keyframe; return the decisions about its loop candidates."""
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
             found = self._detector.find(keyframe, frame)
