@@ -112,7 +112,7 @@ class GenzIcpOdometry:
             found = self._registration.align_points_to_map(
                 points, self._map, T_guess, 3.0 * sigma, sigma
             )
-        T = se3.pose(se3.nearest_rotation(found[:3, :3]), found[:3, 3])
+        T = se3.nearest_pose(found)
         self._threshold._update_model_deviation(se3.inverse(T_guess) @ T)
         self._step = se3.inverse(self._T_odom_camera) @ T
         self._T_odom_camera = T

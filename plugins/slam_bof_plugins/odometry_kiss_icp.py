@@ -88,5 +88,5 @@ class KissIcpOdometry:
         self._kiss_icp.register_frame(points, NO_DESKEW)
         # Thousands of products of rotations drift off SO(3) and GTSAM does not forgive it.
         T = self._kiss_icp.last_pose
-        self._kiss_icp.last_pose = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        self._kiss_icp.last_pose = se3.nearest_pose(T)
         return np.array(self._kiss_icp.last_pose)

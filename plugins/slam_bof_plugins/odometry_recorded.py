@@ -93,8 +93,7 @@ class RecordedOdometry:
         known = np.isfinite(recorded.poses).all(axis=(1, 2))
         if not known.any():
             raise DatasetError(f"{params.file}: found no pose, expected at least one")
-        T = recorded.poses[known]
-        T[:, :3, :3] = [se3.nearest_rotation(R) for R in T[:, :3, :3]]
+        T = se3.nearest_pose(recorded.poses[known])
         if params.world_to_camera:
             T = se3.inverse(T)
         self._T_world_camera = T @ se3.pose(AXES[params.convention], np.zeros(3))

@@ -107,7 +107,7 @@ class Open3dVerifier:
                 registration.ICPConvergenceCriteria(1e-4, 1e-4, p.max_iterations),
             )
             T = np.array(result.transformation)
-        T_match_query = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        T_match_query = se3.nearest_pose(T)
         pairs = np.asarray(result.correspondence_set)
         if len(pairs) == 0:
             return reject("no correspondences", np.eye(4))

@@ -4,6 +4,8 @@ from .camera import (
     back_project as back_project,
     points_camera as points_camera,
     points_camera_f32 as points_camera_f32,
+    project as project,
+    ray_slopes as ray_slopes,
 )
 from .depth_view import (
     DepthView as DepthView,
@@ -38,6 +40,7 @@ from .registration_quality import (
     reject as reject,
 )
 from .trajectory import (
+    nearest_stamps as nearest_stamps,
     read_kitti as read_kitti,
     read_tum as read_tum,
     spread_correction as spread_correction,

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.geometry.camera import PointParams, points_camera_f32
+from slam_bof.geometry.camera import PointParams, points_camera_f32, ray_slopes
 from slam_bof.types import DepthFrame, Intrinsics, SubsampledDepth
 
 __all__ = [
@@ -170,8 +170,7 @@ def _shrunk(camera: Intrinsics, stride: int) -> Intrinsics:
 @lru_cache(maxsize=4)
 def _rays(camera: Intrinsics) -> NDArray[np.float32]:
     """Return the rays (h, w, 3) of all pixels with z = 1."""
-    x = (np.arange(camera.width) - camera.cx) / camera.fx
-    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    x, y = ray_slopes(camera)
     rays = np.dstack([*np.meshgrid(x, y), np.ones((len(y), len(x)))]).astype(np.float32)
     rays.setflags(write=False)
     return rays

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.geometry import se3
+from slam_bof.geometry.camera import project
 from slam_bof.geometry.gravity import level_frame
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
@@ -128,11 +129,9 @@ def render(points_view: Array, camera: Intrinsics) -> NDArray[np.float32]:
     is linear in the image of a plane.
     """
     inverse = np.zeros(camera.height * camera.width)
-    x, y, z = points_view[points_view[:, 2] > NEAR_M].T
-    column = np.rint(camera.fx * x / z + camera.cx).astype(np.intp)
-    row = np.rint(camera.fy * y / z + camera.cy).astype(np.intp)
-    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    pixel, near = (row * camera.width + column)[inside], 1.0 / z[inside]
+    ahead = points_view[points_view[:, 2] > NEAR_M]
+    row, column, is_inside = project(ahead, camera)
+    pixel, near = row * camera.width + column, 1.0 / ahead[is_inside, 2]
     np.maximum.at(inverse, pixel, near)
     front = near >= (1.0 - SAME_SURFACE) * inverse[pixel]
     count = np.bincount(pixel[front], minlength=len(inverse))

@@ -135,6 +135,5 @@ def drifted(
     out = np.empty_like(poses)
     out[0] = np.eye(4)
     for i, step in enumerate(steps):
-        out[i + 1] = out[i] @ step
-        out[i + 1, :3, :3] = se3.nearest_rotation(out[i + 1, :3, :3])
+        out[i + 1] = se3.nearest_pose(out[i] @ step)
     return out

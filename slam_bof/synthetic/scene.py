@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.core import import_open3d
+from slam_bof.geometry import ray_slopes
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.types import Intrinsics, Pose
 
@@ -57,9 +58,7 @@ class Scene3D:
         self._albedo = (255 * mesh.albedo).astype(np.float32)
         self._bright = np.minimum(mesh.albedo.mean(axis=1) / _BRIGHT, 1.0).astype(np.float32)
         self.intrinsics = intrinsics
-        v, u = np.mgrid[: intrinsics.height, : intrinsics.width]
-        x = (u - intrinsics.cx) / intrinsics.fx
-        y = (v - intrinsics.cy) / intrinsics.fy
+        x, y = np.meshgrid(*ray_slopes(intrinsics))
         # With z = 1 in every direction, the distance along the ray is the depth z itself.
         self._rays = np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
         self._length = np.linalg.norm(self._rays, axis=-1)

@@ -162,5 +162,4 @@ def _shaken(path: Array, rng: np.random.Generator) -> Array:
     angles = np.deg2rad((0.6, 0.7, 0.8)) * noise[:, 3:]
     T = camera_poses(position, path[:, 3] + angles[:, 0], path[:, 4] + angles[:, 1], angles[:, 2])
     # The file holds 9 digits, and readers ask for rotations: give them orthonormal ones.
-    T[:, :3, :3] = np.stack([se3.nearest_rotation(R) for R in T[:, :3, :3]])
-    return T
+    return se3.nearest_pose(T)
