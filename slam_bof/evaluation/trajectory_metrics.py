@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import nearest_stamps, se3
-from slam_bof.types import Array, Pose, Trajectory
+from slam_bof.types import Pose, Trajectory
 
 __all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "rpe"]
 
