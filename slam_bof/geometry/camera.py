@@ -80,8 +80,8 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
 
 
 def points_camera(frame: DepthFrame, params: PointParams) -> Array:
-    """Return the frame's points within range, (N, 3) float64 ``points_camera``."""
-    depth_m = frame.depth_m(params.stride)
+    """Return the frame's points, (N, 3) float64, within this range and that of its sensor."""
+    depth_m = frame.depth_in_range_m(params.stride)
     depth_m[(depth_m < params.min_range_m) | (depth_m > params.max_range_m)] = 0.0
     return back_project(depth_m, frame.intrinsics, params.stride)
 
@@ -91,7 +91,7 @@ def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.floa
 
     The result is (N, 3) float32 with contiguous columns, which suits the computation of layers.
     """
-    depth_m = frame.depth_m(params.stride)
+    depth_m = frame.depth_in_range_m(params.stride)
     valid = (depth_m >= params.min_range_m) & (depth_m <= params.max_range_m) & (depth_m > 0)
     x_per_z, y_per_z = ray_slopes(frame.intrinsics, params.stride)
     points = np.empty((3, np.count_nonzero(valid)), np.float32)

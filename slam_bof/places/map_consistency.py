@@ -27,11 +27,6 @@ N_POINTS = 200
 class MapConsistencyParams(Params):
     """Limits on the deviation of a view from the keyframes around its pose."""
 
-    max_range_m: float = Field(
-        8.0,
-        gt=0,
-        description="Depth that bounds the frustum of a view, in m.",
-    )
     min_near: float = Field(
         0.1,
         gt=0,
@@ -96,12 +91,20 @@ class MapConsistency:
         Stores the views of keyframes and of temporary queries.
     T_map_camera
         Poses (K, 4, 4) of the keyframes. Rows may be added together with views.
+    max_depth_m
+        Depth that bounds the frustum of a view.
     """
 
     def __init__(
-        self, recogniser: PlaceRecogniser, T_map_camera: GrowingArray, params: MapConsistencyParams
+        self,
+        recogniser: PlaceRecogniser,
+        T_map_camera: GrowingArray,
+        params: MapConsistencyParams,
+        *,
+        max_depth_m: float,
     ) -> None:
         self.params = params
+        self._max_depth_m = max_depth_m
         self._recogniser = recogniser
         self._T_map_camera = T_map_camera
         self._limits: tuple[int, Coverage] | None = None
@@ -112,7 +115,7 @@ class MapConsistency:
 
     def overlaps(self, view: KnownView, T_map_view: Pose) -> Array:
         """Return the share (K,) of a view's points in each keyframe's frustum, 0 for itself."""
-        T_map_camera, far_m = self._T_map_camera.rows, self.params.max_range_m
+        T_map_camera, far_m = self._T_map_camera.rows, self._max_depth_m
         overlaps = view_overlap(view.points_camera, T_map_view, T_map_camera, view.camera, far_m)
         if view.view_id < len(overlaps):
             overlaps[view.view_id] = 0.0

@@ -15,7 +15,7 @@ from slam_bof.geometry import PointParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
 from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
-from slam_bof.types import Params
+from slam_bof.types import Params, SensorParams
 
 __all__ = [
     "Config",
@@ -109,6 +109,7 @@ class Config(Params):
     backend: PluginChoice = Field(
         PluginChoice(name="gtsam"), description="Plug-in that optimises the pose graph."
     )
+    sensor: SensorParams = SensorParams()
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()

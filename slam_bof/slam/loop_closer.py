@@ -26,6 +26,7 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Pose,
+    SensorParams,
     Step,
     Trajectory,
 )
@@ -53,6 +54,7 @@ class LoopCloser:
         tracking: TrackingParams,
         selector: KeyframeSelector,
         gravity_odom: ArrayLike,
+        sensor: SensorParams,
         seed: int = 0,
         journal: Journal | None = None,
         clock: StageClock | None = None,
@@ -64,6 +66,7 @@ class LoopCloser:
         self._tracking, self._seed = tracking, seed
         self._tracker = Tracker(tracking, seed=seed)
         self._selector = selector
+        self._sensor = sensor
         self._clock = clock or StageClock()
         self._camera: Intrinsics | None = None
         self._cloud_camera = CloudCamera(gravity_odom)
@@ -92,6 +95,7 @@ class LoopCloser:
             selector=KeyframeSelector(config.keyframes),
             tracking=config.tracking,
             gravity_odom=config.gravity_odom,
+            sensor=config.sensor,
             seed=config.seed,
             journal=journal,
             clock=clock,
@@ -115,7 +119,7 @@ class LoopCloser:
         """
         frame_index = len(self.history)
         T_odom_camera = self._check(frame, T_odom_camera)
-        frame = quantize_depth(frame)
+        frame = quantize_depth(frame.with_sensor(self._sensor))
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera)
         segment = LOST if track.is_lost else track.segment

@@ -2,6 +2,7 @@ from .depth import (
     INVALID_DEPTH_MM as INVALID_DEPTH_MM,
     DepthFrame as DepthFrame,
     Intrinsics as Intrinsics,
+    SensorParams as SensorParams,
     SubsampledDepth as SubsampledDepth,
 )
 from .features import (

@@ -3,18 +3,42 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from dataclasses import dataclass, field, replace
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-__all__ = ["INVALID_DEPTH_MM", "DepthFrame", "Intrinsics", "SubsampledDepth"]
+from slam_bof.types.parameters import Params
+
+__all__ = ["INVALID_DEPTH_MM", "DepthFrame", "Intrinsics", "SensorParams", "SubsampledDepth"]
 
 INVALID_DEPTH_MM = 65535
 """Value of a pixel without depth in 7-Scenes files; 0 has the same meaning."""
 
 Derived = TypeVar("Derived")
+
+
+class SensorParams(Params):
+    """The range of a depth sensor. Pixels outside it count as missing."""
+
+    min_depth_m: float = Field(0.1, ge=0, description="Smallest depth in metres that is used.")
+    max_depth_m: float = Field(
+        8.0, gt=0, le=60, description="Largest depth in metres that is used."
+    )
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        if self.min_depth_m >= self.max_depth_m:
+            raise ValueError(
+                f"min_depth_m must be below max_depth_m, got {self.min_depth_m} and "
+                f"{self.max_depth_m}"
+            )
+        return self
+
+
+DEFAULT_SENSOR = SensorParams()
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +66,8 @@ class DepthFrame:
         (0, negative and non-finite values mean missing).
     intrinsics
         Intrinsics of the depth camera for this image size.
+    sensor
+        Range of depths that are used.
 
     Raises
     ------
@@ -53,6 +79,7 @@ class DepthFrame:
     stamp_s: float
     depth: NDArray[Any]
     intrinsics: Intrinsics
+    sensor: SensorParams = DEFAULT_SENSOR
     _derived: dict[Callable[[DepthFrame], Any], Any] = field(
         default_factory=dict, init=False, repr=False
     )
@@ -76,6 +103,17 @@ class DepthFrame:
             self._derived[compute] = compute(self)
         derived: Derived = self._derived[compute]
         return derived
+
+    def with_sensor(self, sensor: SensorParams) -> DepthFrame:
+        """Return the frame with the range of a sensor."""
+        return self if sensor == self.sensor else replace(self, sensor=sensor)
+
+    def depth_in_range_m(self, stride: int = 1) -> NDArray[np.float32]:
+        """Return the depth as ``depth_m`` does, 0 also outside the range of the sensor."""
+        depth_m = self.depth_m(stride)
+        is_outside = (depth_m < self.sensor.min_depth_m) | (depth_m > self.sensor.max_depth_m)
+        depth_m[is_outside] = 0.0
+        return depth_m
 
     def depth_m(self, stride: int = 1) -> NDArray[np.float32]:
         """Return the depth of every ``stride``-th pixel in metres, 0 where it is missing."""
