@@ -139,13 +139,13 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def check_stamps(stamps_s: Array, where: Path) -> None:
-    """Refuse times (N,) that are not finite or do not grow; ``DatasetError`` names the first."""
+    """Check that times (N,) are finite and strictly increase; ``DatasetError`` names the first."""
     for i in np.flatnonzero(~np.isfinite(stamps_s)).tolist():
         raise DatasetError(f"{where}: found {stamps_s[i]} as time of frame {i}, expected seconds")
     for i in np.flatnonzero(np.diff(stamps_s) <= 0.0).tolist():
         raise DatasetError(
             f"{where}: found frame {i + 1} at {stamps_s[i + 1]:.6f} s after {stamps_s[i]:.6f} s, "
-            "expected times that grow"
+            "expected strictly increasing timestamps"
         )
 
 

@@ -214,7 +214,7 @@ def _read_npy(file: Path) -> tuple[Trajectory, bool]:
         table = found.astype(np.float64)
         norms = np.linalg.norm(table[:, 4:], axis=1)
         if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-            raise DatasetError(f"{file}: expected finite rows with growing stamps")
+            raise DatasetError(f"{file}: expected finite rows with strictly increasing timestamps")
         if (np.abs(norms - 1.0) > se3.TOLERANCE).any():
             worst = norms[np.abs(norms - 1.0).argmax()]
             raise DatasetError(f"{file}: found a quaternion of norm {worst:.6g}, expected 1")

@@ -116,7 +116,7 @@ def test_no_file_is_told_of_before_the_run(tmp_path):
         (np.zeros((3, 4, 4)), "pose 0: found a matrix that is no rotation"),
         (np.full((3, 4, 4), np.nan), "found no pose"),
         (np.zeros((0, 4, 4)), "found no pose"),
-        (np.zeros((2, 8)), "growing stamps"),
+        (np.zeros((2, 8)), "strictly increasing timestamps"),
         (np.array([["a"] * 8]), "found an array"),
     ],
 )
