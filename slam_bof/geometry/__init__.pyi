@@ -26,6 +26,7 @@ from .g2o import (
     write_g2o as write_g2o,
 )
 from .gravity import (
+    GravityParams as GravityParams,
     GravityTracker as GravityTracker,
     down_of_map as down_of_map,
     level_frame as level_frame,
@@ -49,6 +50,7 @@ from .trajectory import (
 )
 from .virtual_camera import (
     CloudCamera as CloudCamera,
+    VirtualCameraParams as VirtualCameraParams,
 )
 from .visibility import (
     Agreement as Agreement,

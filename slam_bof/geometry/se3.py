@@ -139,7 +139,8 @@ def nearest_rotation(R: ArrayLike) -> Array:
 
 def nearest_pose(T: ArrayLike) -> Pose:
     """Return transforms (..., 4, 4) with their rotations made orthonormal."""
-    T = np.array(T, dtype=np.float64)
+    # The order of memory decides the last bits of products.
+    T = np.array(T, dtype=np.float64, order="C")
     T[..., :3, :3] = nearest_rotation(T[..., :3, :3])
     T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
     return T

@@ -27,6 +27,7 @@ from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import (
     Agreement,
     AlignmentParams,
+    GravityParams,
     GravityTracker,
     ViewAligner,
     make_view,
@@ -86,6 +87,7 @@ class RecogniserParams(Params):
         description="Angle between viewpoints at which that bonus falls off, in degrees.",
     )
     constellation: ConstellationParams = ConstellationParams()
+    gravity: GravityParams = GravityParams()
     search: ViewIndexParams = ViewIndexParams()
     alignment: AlignmentParams = AlignmentParams()
 
@@ -153,7 +155,7 @@ class PlaceRecogniser:
         never_lost: bool = False,
     ) -> None:
         self.params = params or RecogniserParams()
-        self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
+        self._gravity = GravityTracker(gravity_odom, self.params.gravity, never_lost=never_lost)
         self._index = ViewIndex(self.params.search)
         self._R_level_camera = GrowingArray((3, 3), np.float64)
         self._followed = FollowedMatches()
@@ -195,7 +197,7 @@ class PlaceRecogniser:
         if gravity_camera is None:
             # The mean tilt of the stored views is the best initial guess.
             reference = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
-            tracker = GravityTracker(reference, never_lost=True)
+            tracker = GravityTracker(reference, self.params.gravity, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
         view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
         try:
@@ -214,7 +216,7 @@ class PlaceRecogniser:
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Prepare for views with another odometry frame and its rough gravity ``gravity_odom``."""
-        self._gravity = GravityTracker(gravity_odom)
+        self._gravity = GravityTracker(gravity_odom, self.params.gravity)
         self._followed.follow(0, [])
 
     def state(self) -> list[Any]:

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError, field_validator
 
 from slam_bof.core import describe_error, registry, suggest
 from slam_bof.errors import ConfigError
-from slam_bof.geometry import PointParams
+from slam_bof.geometry import PointParams, VirtualCameraParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
 from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
@@ -110,6 +110,7 @@ class Config(Params):
         PluginChoice(name="gtsam"), description="Plug-in that optimises the pose graph."
     )
     sensor: SensorParams = SensorParams()
+    virtual_camera: VirtualCameraParams = VirtualCameraParams()
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()

@@ -11,7 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
-from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
+from slam_bof.geometry import (
+    CloudCamera,
+    VirtualCameraParams,
+    quantize_depth,
+    restore_frame,
+    se3,
+    subsample,
+)
 from slam_bof.loops import Verified
 from slam_bof.slam.config import Config, load, preset
 from slam_bof.slam.frame_history import FrameHistory
@@ -55,6 +62,7 @@ class LoopCloser:
         selector: KeyframeSelector,
         gravity_odom: ArrayLike,
         sensor: SensorParams,
+        virtual_camera: VirtualCameraParams,
         seed: int = 0,
         journal: Journal | None = None,
         clock: StageClock | None = None,
@@ -69,7 +77,7 @@ class LoopCloser:
         self._sensor = sensor
         self._clock = clock or StageClock()
         self._camera: Intrinsics | None = None
-        self._cloud_camera = CloudCamera(gravity_odom)
+        self._cloud_camera = CloudCamera(gravity_odom, virtual_camera)
 
     @classmethod
     def from_preset(cls, name: str = "indoor", *, journal: Journal | None = None) -> Self:
@@ -96,6 +104,7 @@ class LoopCloser:
             tracking=config.tracking,
             gravity_odom=config.gravity_odom,
             sensor=config.sensor,
+            virtual_camera=config.virtual_camera,
             seed=config.seed,
             journal=journal,
             clock=clock,

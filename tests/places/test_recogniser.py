@@ -125,6 +125,18 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
     assert agreement.inlier_ratio[0] > 0.99
 
 
+def test_gravity_is_estimated_by_the_parameters_of_the_recogniser(tour):
+    frames, poses = tour
+    narrow = {"first_gates_deg": (1.0,), "gates_deg": (1.0,), "lost_margin": 1.0}
+    scores = []
+    for params in (RecogniserParams(), RecogniserParams(gravity=narrow)):
+        recogniser = PlaceRecogniser(params, gravity_odom=(0.0, 0.96, 0.28))
+        for frame, pose in zip(frames[:3], poses, strict=False):
+            recogniser.add(frame, se3.inverse(poses[0]) @ pose)
+        scores.append(recogniser.retrieve(2, 2).scores)
+    assert (scores[0] != scores[1]).all()
+
+
 def test_a_guest_is_forgotten_and_follows_nothing(tour):
     frames, _ = tour
     recogniser = remember(tour, search={"n_compared": 1})
