@@ -67,7 +67,7 @@ def remember(tour, **params):
     return recogniser
 
 
-def test_so_many_are_aligned_at_most(tour):
+def test_the_number_of_aligned_views_is_limited(tour):
     recogniser = remember(tour, n_aligned=4, search={"n_compared": 6})
     for query in range(1, len(recogniser)):
         assert len(recogniser.recognise(query, query)) == min(query, 4)
@@ -103,7 +103,7 @@ def test_an_empty_frame_is_like_nothing(tour):
     assert recogniser.nbytes > 0
 
 
-def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
+def test_deactivated_views_are_not_found(tour):
     frames, poses = tour
     recogniser = PlaceRecogniser()
     T_odom_camera = se3.inverse(poses[0]) @ poses
@@ -137,7 +137,7 @@ def test_gravity_is_estimated_by_the_parameters_of_the_recogniser(tour):
     assert (scores[0] != scores[1]).all()
 
 
-def test_a_guest_is_forgotten_and_follows_nothing(tour):
+def test_a_temporary_query_leaves_nothing_behind(tour):
     frames, _ = tour
     recogniser = remember(tour, search={"n_compared": 1})
     recogniser.recognise(12, N_ROUND)  # which the next view would follow
@@ -159,7 +159,7 @@ def test_a_guest_is_forgotten_and_follows_nothing(tour):
         assert (a.view_id, a.score) == (b.view_id, b.score)
 
 
-def test_a_guest_is_forgotten_whatever_happens(tour):
+def test_a_temporary_query_is_removed_after_an_error(tour):
     frames, _ = tour
     recogniser = remember(tour)
     with pytest.raises(RuntimeError), recogniser.temporary_query(frames[0]):

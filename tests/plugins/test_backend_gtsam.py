@@ -65,7 +65,7 @@ def test_the_first_pose_need_not_be_the_identity():
     np.testing.assert_allclose(backend.poses(), start @ odometry, atol=1e-6)
 
 
-def test_loops_mend_drift_at_once_and_at_the_end(drifted):
+def test_loops_correct_drift_at_once_and_at_the_end(drifted):
     backend, truth, odometry = drifted
     before_m = error_m(odometry, truth)
     closed = slice(-2, None)
