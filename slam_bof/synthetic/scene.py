@@ -1,4 +1,4 @@
-"""Seeing a mesh with a pinhole camera: depth, colour and incidence by ray casting."""
+"""Views of a mesh through a pinhole camera: depth, colour and incidence by ray casting."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 """The depth camera of 7-Scenes."""
 
 _BRIGHT = 0.35
-"""The albedo from which on a surface returns all the light that a depth camera needs."""
+"""Albedo above which a surface returns enough light for a depth camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a perfect camera sees.
+    """The view of an ideal camera.
 
     ``depth_m`` (H, W) float32 is z, 0 where a ray leaves the scene; ``cosine`` (H, W) float32
     that of the angle between ray and surface normal; ``returned`` (H, W) float32 the share of
@@ -38,14 +38,14 @@ class View:
 
 
 class Scene3D:
-    """A mesh that can be looked at, from one kind of camera.
+    """A mesh seen by one camera.
 
     Parameters
     ----------
     mesh
-        In the world frame.
+        The mesh in the world frame.
     intrinsics
-        Of the camera.
+        Intrinsics of the camera.
     """
 
     def __init__(self, mesh: Mesh, intrinsics: Intrinsics = KINECT) -> None:

@@ -1,4 +1,4 @@
-"""Random hand-held views inside random rooms, to train a model on."""
+"""Random hand-held views in random rooms, as training data."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def training_views(
     kind
         One of ``ROOM_KINDS``.
     seed
-        Of room, viewpoints and noise.
+        Seed of room, viewpoints and noise.
     n_views
-        How many.
+        Number of views.
     sensor
-        The depth camera.
+        Parameters of the depth camera.
 
     Yields
     ------
@@ -50,7 +50,7 @@ def shaded_views(
 ) -> Iterator[tuple[DepthFrame, NDArray[np.uint8]]]:
     """Yield the same views, each with the shading of its surfaces, (480, 640) grey.
 
-    That is what a camera with a lamp beside it would see if all were of one colour.
+    It is the grey image of a camera with a lamp if all surfaces have one colour.
     """
     for frame, view in _views(kind, seed, n_views, sensor):
         shade = 255.0 * view.cosine * (view.depth_m > 0)
