@@ -76,7 +76,7 @@ class DepthCloser:
 
     @staticmethod
     def _drift_explains(query_id: int, older_id: int, T_query_older: Pose, local_maps: Any) -> bool:
-        """Tell whether the loop moves the map no more than odometry can have drifted.
+        """Return whether the loop moves the map no more than odometry can have drifted.
 
         KISS-SLAM's graph has no robust kernel: one wrong loop bends all of it.
         """
