@@ -80,7 +80,7 @@ def test_views_down_one_hall_are_too_little(walked_down):
     assert admit(easy, loops[:8], walked_down) == [(i, i) for i in range(6)]
 
 
-def test_neither_part_may_stand_where_the_other_looked_through(looked_about):
+def test_no_component_may_violate_the_free_space_of_the_other(looked_about):
     """The loops are of the last views; what the first ones saw is in the way."""
     blocked = Compare(lambda query_id: 0.6 if query_id < N + 6 else 0.02)
     loops = [loop(looked_about, i) for i in (6, 8, 10, 11)]
@@ -102,7 +102,7 @@ def test_neither_part_may_stand_where_the_other_looked_through(looked_about):
     )  # by bags: not asked
 
 
-def test_only_so_many_views_are_compared(looked_about):
+def test_the_number_of_compared_views_is_limited(looked_about):
     few = Compare()
     loops = [loop(looked_about, i) for i in (0, 3, 6, 9)]
     assert (

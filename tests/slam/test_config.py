@@ -136,7 +136,7 @@ def test_configurations_cannot_be_changed() -> None:
         Config().seed = 3  # type: ignore[misc]
 
 
-def test_parts_given_in_part_keep_the_defaults_of_their_place(tmp_path: Path) -> None:
+def test_sections_given_in_part_keep_their_own_defaults(tmp_path: Path) -> None:
     file = tmp_path / "some.yaml"
     file.write_text(
         "tracking: {alignment: {n_iterations: 5}}\n"
