@@ -27,8 +27,6 @@ STEPS_PER_M = 8000
 """Finest resolution at which the map keeps depths in metres: steps of 1/8 mm."""
 MAX_STEPS = 65535
 """Largest number of steps that the map can keep."""
-MAX_SLOPE = 0.1
-"""Depth differences of more than this share of (1 m + depth) are edges."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,7 +59,7 @@ def _make_view(frame: DepthFrame) -> DepthView:
     stride = 2 * view_stride(frame.intrinsics)
     depth_m = frame.depth_in_range_m(stride)
     camera = _shrunk(frame.intrinsics, stride)
-    normals = surface_normals(_rays(camera) * depth_m[..., None])
+    normals = surface_normals(_rays(camera) * depth_m[..., None], frame.sensor.edge_ratio)
     for shared in (depth_m, normals):
         shared.setflags(write=False)
     return DepthView(depth_m, normals, camera)
@@ -120,11 +118,11 @@ def _steps_per_m(sensor: SensorParams) -> int:
     return min(STEPS_PER_M, int(MAX_STEPS / sensor.max_depth_m + 1e-6))
 
 
-def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def surface_normals(points: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArray[np.float32]:
     """Return the normals (h, w, 3) of a grid of points, zero at edges and where points miss.
 
     Each is the cross product of the differences between the neighbours of the pixel, below minus
-    above and right minus left.
+    above and right minus left. ``edge_ratio`` is that of ``SensorParams``.
     """
     x, y, z = np.ascontiguousarray(np.moveaxis(points, -1, 0))
     across = [c[1:-1, 2:] - c[1:-1, :-2] for c in (x, y, z)]
@@ -139,7 +137,7 @@ def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
     )
     length = np.sqrt((cross * cross).sum(axis=-1))
     known = z > 0
-    step = MAX_SLOPE * (1.0 + z[1:-1, 1:-1])
+    step = edge_ratio * (1.0 + z[1:-1, 1:-1])
     smooth = (
         known[1:-1, 1:-1]
         & (known[1:-1, 2:] & known[1:-1, :-2] & known[2:, 1:-1] & known[:-2, 1:-1])

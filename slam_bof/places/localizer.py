@@ -19,6 +19,7 @@ from pydantic import Field
 from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import se3, view_points
 from slam_bof.places.map_consistency import KnownView, MapConsistency, MapConsistencyParams
+from slam_bof.places.params import RecogniserParams
 from slam_bof.places.perceptual_aliasing import PerceptualAliases, PerceptualAliasParams
 from slam_bof.places.pose_hypotheses import (
     HypothesisRegistration,
@@ -27,7 +28,7 @@ from slam_bof.places.pose_hypotheses import (
     group_hypotheses,
     mean_pose,
 )
-from slam_bof.places.recogniser import PlaceMatch, PlaceRecogniser, RecogniserParams
+from slam_bof.places.recogniser import PlaceMatch, PlaceRecogniser
 from slam_bof.ports import Verifier
 from slam_bof.types import DepthFrame, Params, Pose, SensorParams
 

@@ -16,18 +16,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from slam_bof.bof import (
-    ConstellationParams,
     camera_motions,
     describe_constellation,
 )
 from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import (
     Agreement,
-    AlignmentParams,
-    GravityParams,
     GravityTracker,
     ViewAligner,
     make_view,
@@ -35,61 +31,17 @@ from slam_bof.geometry import (
     view_points,
 )
 from slam_bof.places.followed_matches import FollowedMatches
-from slam_bof.places.view_index import ViewIndex, ViewIndexParams
-from slam_bof.types import Array, DepthFrame, Params, Pose
+from slam_bof.places.params import RecogniserParams
+from slam_bof.places.view_index import ViewIndex
+from slam_bof.types import Array, DepthFrame, Pose
 
-__all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
+__all__ = ["Compare", "PlaceMatch", "PlaceRecogniser"]
 
 UPRIGHT = np.array([0.0, 1.0, 0.0])
 """Direction of gravity in the frame of an upright camera."""
 
 Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 """Measures the agreement of a view with others (n,) at poses ``T_match_query`` (n, 4, 4)."""
-
-
-class RecogniserParams(Params):
-    """Parameters of place recognition: sizes of the shortlists, and ranking of alignments."""
-
-    n_aligned: int = Field(
-        20,
-        ge=0,
-        description="Number of views that are aligned with the query; up to half of them are "
-        "followed.",
-    )
-    n_followed: int = Field(
-        5,
-        ge=0,
-        description="Number of matches of the last view that are followed by odometry.",
-    )
-    n_neighbours: int = Field(
-        2,
-        ge=0,
-        description="Number of views before and after such a match that are aligned too.",
-    )
-    overlap_saturation: float = Field(
-        0.55,
-        ge=0,
-        description="Inlier ratio, less free-space violations, beyond which more hardly counts.",
-    )
-    near_bonus: float = Field(
-        0.1,
-        ge=0,
-        description="Largest bonus in the score for a view from the same viewpoint.",
-    )
-    near_m: float = Field(
-        0.3,
-        gt=0,
-        description="Distance between viewpoints at which that bonus falls off, in m.",
-    )
-    near_deg: float = Field(
-        25.0,
-        gt=0,
-        description="Angle between viewpoints at which that bonus falls off, in degrees.",
-    )
-    constellation: ConstellationParams = ConstellationParams()
-    gravity: GravityParams = GravityParams()
-    search: ViewIndexParams = ViewIndexParams()
-    alignment: AlignmentParams = AlignmentParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -40,6 +40,7 @@ from slam_bof.types import (
     KeyframeRecord,
     Loop,
     Pose,
+    SensorParams,
 )
 
 __all__ = ["KeyframeMap"]
@@ -76,6 +77,7 @@ class KeyframeMap:
         labels: SceneFilterParams,
         covisibility: CovisibilityParams,
         cloud: PointParams,
+        sensor: SensorParams,
         gravity_odom: ArrayLike,
         verification: LoopVerification,
         backend: Backend,
@@ -94,6 +96,7 @@ class KeyframeMap:
         self._detector = detector
         self._covisibility = covisibility
         self._cloud = cloud
+        self._sensor = sensor
         self._gravity_odom = np.asarray(gravity_odom, dtype=np.float64)
         self._verification = verification
         self._clock = clock
@@ -114,6 +117,7 @@ class KeyframeMap:
             labels=config.labels,
             covisibility=config.covisibility,
             cloud=config.cloud,
+            sensor=config.sensor,
             gravity_odom=config.gravity_odom,
             verification=LoopVerification(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
@@ -202,6 +206,7 @@ class KeyframeMap:
 
     def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
         """Add the newest keyframe; return the decisions about its loop candidates."""
+        frame = frame.with_sensor(self._sensor)
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
             found = self._detector.find(keyframe, frame)
@@ -223,7 +228,8 @@ class KeyframeMap:
 
     def replay(self, record: KeyframeRecord) -> None:
         """Replay a saved keyframe: restore labels, index and graph without searching again."""
-        keyframe, frame = record.keyframe, restore_frame(record.depth, record.keyframe.stamp_s)
+        keyframe = record.keyframe
+        frame = restore_frame(record.depth, keyframe.stamp_s).with_sensor(self._sensor)
         if keyframe.scene is not None:
             position_m = keyframe.T_odom_camera[:3, 3]
             self._scene_filter.update(

@@ -8,12 +8,10 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
 from slam_bof.geometry import (
     CloudCamera,
-    VirtualCameraParams,
     quantize_depth,
     restore_frame,
     se3,
@@ -23,7 +21,7 @@ from slam_bof.loops import Verified
 from slam_bof.slam.config import Config, load, preset
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
-from slam_bof.tracking import KeyframeSelector, Track, Tracker, TrackingParams
+from slam_bof.tracking import KeyframeSelector, Track, Tracker
 from slam_bof.types import (
     LOST,
     Array,
@@ -33,7 +31,6 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Pose,
-    SensorParams,
     Step,
     Trajectory,
 )
@@ -57,27 +54,20 @@ class LoopCloser:
     def __init__(
         self,
         keyframes: KeyframeMap,
+        config: Config,
         *,
-        tracking: TrackingParams,
-        selector: KeyframeSelector,
-        gravity_odom: ArrayLike,
-        sensor: SensorParams,
-        virtual_camera: VirtualCameraParams,
-        seed: int = 0,
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> None:
         self.history = FrameHistory()
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""
-        self._map = keyframes
-        self._tracking, self._seed = tracking, seed
-        self._tracker = Tracker(tracking, seed=seed)
-        self._selector = selector
-        self._sensor = sensor
+        self._map, self._config = keyframes, config
+        self._tracker = Tracker(config.tracking, seed=config.seed)
+        self._selector = KeyframeSelector(config.keyframes)
         self._clock = clock or StageClock()
         self._camera: Intrinsics | None = None
-        self._cloud_camera = CloudCamera(gravity_odom, virtual_camera)
+        self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
     @classmethod
     def from_preset(cls, name: str = "indoor", *, journal: Journal | None = None) -> Self:
@@ -98,17 +88,7 @@ class LoopCloser:
         """
         config = config if isinstance(config, Config) else load(Path(config))
         clock = clock or StageClock()
-        return cls(
-            KeyframeMap.from_config(config, clock),
-            selector=KeyframeSelector(config.keyframes),
-            tracking=config.tracking,
-            gravity_odom=config.gravity_odom,
-            sensor=config.sensor,
-            virtual_camera=config.virtual_camera,
-            seed=config.seed,
-            journal=journal,
-            clock=clock,
-        )
+        return cls(KeyframeMap.from_config(config, clock), config, journal=journal, clock=clock)
 
     @one_blas_thread()
     def process(
@@ -128,7 +108,7 @@ class LoopCloser:
         """
         frame_index = len(self.history)
         T_odom_camera = self._check(frame, T_odom_camera)
-        frame = quantize_depth(frame.with_sensor(self._sensor))
+        frame = quantize_depth(frame.with_sensor(self._config.sensor))
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera)
         segment = LOST if track.is_lost else track.segment
@@ -224,7 +204,8 @@ class LoopCloser:
             self._map.replay(record)
         if record is None or not record.state:
             return  # a pruned map cannot be resumed, only continued by another session
-        frame, last = restore_frame(record.depth, record.keyframe.stamp_s), record.frames[-1]
+        frame = restore_frame(record.depth, record.keyframe.stamp_s)
+        frame, last = frame.with_sensor(self._config.sensor), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
         self._tracker.restore(record.state["tracker"], frame, track)
         self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
@@ -241,7 +222,7 @@ class LoopCloser:
         self._map.begin_session()
         self.history = FrameHistory()
         segment = self._map.keyframes[-1].segment + 1 if self._map.keyframes else 0
-        self._tracker = Tracker(self._tracking, seed=self._seed, segment=segment)
+        self._tracker = Tracker(self._config.tracking, seed=self._config.seed, segment=segment)
         self._selector.reset()
 
     @property

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from slam_bof.types import INVALID_DEPTH_MM, Params
 
-__all__ = ["SensorParams", "sense"]
+__all__ = ["SensorModelParams", "sense"]
 
 
-class SensorParams(Params):
+class SensorModelParams(Params):
     """Parameters of the depth camera, by default the Kinect of 7-Scenes.
 
     ``focal_px`` times ``baseline_m`` over z is the disparity, measured in steps of
@@ -49,7 +49,7 @@ def sense(
     depth_m: NDArray[np.float32],
     returned: NDArray[np.float32],
     rng: np.random.Generator,
-    params: SensorParams | None = None,
+    params: SensorModelParams | None = None,
 ) -> NDArray[np.uint16]:
     """Return the measurement of true depth by the sensor.
 
@@ -70,7 +70,7 @@ def sense(
         (H, W) millimetres; 0 where shadow, edge, weak return or chance lost the pixel, and 65535
         where the surface is out of range.
     """
-    p = SensorParams() if params is None else params
+    p = SensorModelParams() if params is None else params
     depth = depth_m.astype(np.float32)
     edge = _edges(depth, p.edge_ratio)
     depth = _jitter(depth, edge, rng, p.lateral_px)

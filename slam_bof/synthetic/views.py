@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slam_bof.synthetic.furnisher import distance_to_boxes
 from slam_bof.synthetic.rooms import Room, make_room
 from slam_bof.synthetic.scene import Scene3D, View
-from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.synthetic.tour import FRAME_RATE_HZ, camera_poses
 from slam_bof.types import DepthFrame, Pose
 
@@ -20,7 +20,7 @@ _TRIES = 200
 
 
 def training_views(
-    kind: str, seed: int, n_views: int, *, sensor: SensorParams | None = None
+    kind: str, seed: int, n_views: int, *, sensor: SensorModelParams | None = None
 ) -> Iterator[DepthFrame]:
     """Yield views from random viewpoints in one random room.
 
@@ -46,7 +46,7 @@ def training_views(
 
 
 def shaded_views(
-    kind: str, seed: int, n_views: int, *, sensor: SensorParams | None = None
+    kind: str, seed: int, n_views: int, *, sensor: SensorModelParams | None = None
 ) -> Iterator[tuple[DepthFrame, NDArray[np.uint8]]]:
     """Yield the same views, each with the shading of its surfaces, (480, 640) grey.
 
@@ -58,7 +58,7 @@ def shaded_views(
 
 
 def _views(
-    kind: str, seed: int, n_views: int, sensor: SensorParams | None
+    kind: str, seed: int, n_views: int, sensor: SensorModelParams | None
 ) -> Iterator[tuple[DepthFrame, View]]:
     room = make_room(kind, seed)
     scene = Scene3D(room.mesh)

@@ -19,7 +19,7 @@ from slam_bof.errors import DatasetError
 from slam_bof.synthetic.flat import make_flat, make_tour
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.synthetic.scene import Scene3D, View
-from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.types import Array, Pose
 
 __all__ = ["Progress", "write_flat", "write_scene", "write_sequence"]
@@ -96,7 +96,7 @@ def write_scene(
     labels: Sequence[str] | None = None,
     dark: Collection[int] = (),
     seed: int = 0,
-    sensor: SensorParams | None = None,
+    sensor: SensorModelParams | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write a scene folder of one sequence completely, unless it exists.
@@ -165,7 +165,7 @@ def write_sequence(
     frame_numbers: Sequence[int] | None = None,
     dark: Collection[int] = (),
     seed: int = 0,
-    sensor: SensorParams | None = None,
+    sensor: SensorModelParams | None = None,
     progress: Progress | None = None,
 ) -> None:
     """Render a scene from each pose and write the frames into a folder.
@@ -214,7 +214,7 @@ def _write_frame(
     view: View | None,
     T_world_camera: Pose,
     seed: int,
-    sensor: SensorParams | None,
+    sensor: SensorModelParams | None,
 ) -> None:
     shape = scene.intrinsics.height, scene.intrinsics.width
     depth, color = np.zeros(shape, np.uint16), np.zeros((*shape, 3), np.uint8)

@@ -21,11 +21,17 @@ Derived = TypeVar("Derived")
 
 
 class SensorParams(Params):
-    """The range of a depth sensor. Pixels outside it count as missing."""
+    """Parameters of the depth sensor. Pixels outside its range count as missing."""
 
     min_depth_m: float = Field(0.1, ge=0, description="Smallest depth in metres that is used.")
     max_depth_m: float = Field(
         8.0, gt=0, le=60, description="Largest depth in metres that is used."
+    )
+    edge_ratio: float = Field(
+        0.1,
+        gt=0,
+        description="Difference in depth between neighbouring pixels, as a share of 1 m plus the "
+        "depth, from which they count as an edge without surface normal.",
     )
 
     @model_validator(mode="after")
@@ -67,7 +73,7 @@ class DepthFrame:
     intrinsics
         Intrinsics of the depth camera for this image size.
     sensor
-        Range of depths that are used.
+        Parameters of the sensor, such as the range of depths that are used.
 
     Raises
     ------
@@ -105,7 +111,7 @@ class DepthFrame:
         return derived
 
     def with_sensor(self, sensor: SensorParams) -> DepthFrame:
-        """Return the frame with the range of a sensor."""
+        """Return the frame with the parameters of a sensor."""
         return self if sensor == self.sensor else replace(self, sensor=sensor)
 
     def depth_in_range_m(self, stride: int = 1) -> NDArray[np.float32]:

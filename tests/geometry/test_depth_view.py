@@ -69,6 +69,14 @@ def test_normals_are_not_taken_over_edges_and_holes():
     assert not known[:, 0].any()
 
 
+def test_the_sensor_says_what_counts_as_an_edge(look):
+    frame = look(np.eye(4), 0)
+    strict = frame.with_sensor(SensorParams(edge_ratio=0.005))
+    n_known = len(make_view(frame).known_normals())
+    assert 0 < len(make_view(strict).known_normals()) < 0.9 * n_known
+    assert frame.with_sensor(SensorParams()) is frame
+
+
 def test_one_view_serves_all_who_look_at_a_frame(look):
     frame, other = look(np.eye(4), 0), look(np.eye(4), 1)
     view = make_view(frame)
