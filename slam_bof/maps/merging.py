@@ -62,7 +62,7 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
     sessions = target.sessions()
     _check_finished(target, paths[0])
     config = configs.parse_saved(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
-    keyframes = KeyframeMap.from_config(config, StageClock())
+    keyframes = KeyframeMap(config, StageClock())
     for record in replay_keyframes(target):
         while keyframes.session < record.keyframe.session:
             keyframes.begin_session()

@@ -53,7 +53,6 @@ class LoopCloser:
 
     def __init__(
         self,
-        keyframes: KeyframeMap,
         config: Config,
         *,
         journal: Journal | None = None,
@@ -62,10 +61,11 @@ class LoopCloser:
         self.history = FrameHistory()
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""
-        self._map, self._config = keyframes, config
         self._tracker = Tracker(config.tracking, seed=config.seed)
         self._selector = KeyframeSelector(config.keyframes)
         self._clock = clock or StageClock()
+        self._config = config
+        self._map = KeyframeMap(config, self._clock)
         self._camera: Intrinsics | None = None
         self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
@@ -87,8 +87,7 @@ class LoopCloser:
         ``journal`` is called with the record of each new keyframe.
         """
         config = config if isinstance(config, Config) else load(Path(config))
-        clock = clock or StageClock()
-        return cls(KeyframeMap.from_config(config, clock), config, journal=journal, clock=clock)
+        return cls(config, journal=journal, clock=clock)
 
     @one_blas_thread()
     def process(
