@@ -108,7 +108,7 @@ class GtsamBackend:
         else:
             motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
             is_lost = keyframe.segment != self._segments[-1]
-            noise = self._lost_noise if is_lost else self._step_noise(keyframe)
+            noise = self._lost_noise if is_lost else self._odometry_noise
             factor = gtsam.BetweenFactorPose3(key - 1, key, motion, noise)
             node = self._estimate.atPose3(key - 1).compose(motion)
         self._odometry.add(factor)
@@ -210,15 +210,6 @@ class GtsamBackend:
             for edge, noise in self._kept()
         ]
         write_g2o(path, enumerate(self.poses()), edges)
-
-    def _step_noise(self, keyframe: Keyframe) -> gtsam.noiseModel.Base:
-        import os
-        x=float(os.environ.get("INFL","0"))
-        if keyframe.step_covariance is None or x==0: return self._odometry_noise
-        base=step_sigmas(self.params.odometry_sigma_rad, self.params.odometry_sigma_m)**2
-        c=keyframe.step_covariance*x*x+1e-7*np.eye(6)
-        c=np.linalg.inv(np.linalg.inv(c)+np.diag(1/base)) if os.environ.get("CAP") else c
-        return gtsam.noiseModel.Gaussian.Covariance(c)
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
