@@ -32,6 +32,10 @@ from slam_bof_plugins.gtsam_selection import (
 __all__ = ["GtsamBackend", "GtsamParams"]
 
 
+STEP_FLOOR = 1e-4
+"""Smallest standard deviation of a step, in rad and m: smaller ones make the equations singular."""
+
+
 class GtsamParams(Params):
     """Noise of the odometry per step between keyframes, and of an average loop."""
 
@@ -108,7 +112,7 @@ class GtsamBackend:
         else:
             motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
             is_lost = keyframe.segment != self._segments[-1]
-            noise = self._lost_noise if is_lost else self._odometry_noise
+            noise = self._lost_noise if is_lost else self._step_noise(keyframe)
             factor = gtsam.BetweenFactorPose3(key - 1, key, motion, noise)
             node = self._estimate.atPose3(key - 1).compose(motion)
         self._odometry.add(factor)
@@ -178,6 +182,7 @@ class GtsamBackend:
                 np.array(self._segments),
                 np.array(self._stamps_s),
                 [edge for edge, _ in self._loops],
+                [noise.information() for _, noise in self._loops],
                 p.selection,
             )
         graph = gtsam.NonlinearFactorGraph(self._odometry)
@@ -197,11 +202,9 @@ class GtsamBackend:
         Robust kernels have no place in the format. Steps over which odometry was lost are left
         out too: they only keep the linear systems well-posed.
         """
-        p = self.params
-        steps = np.diag(step_sigmas(p.odometry_sigma_rad, p.odometry_sigma_m) ** -2.0)
         T = self._T_odom_camera
         edges = [
-            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], steps)
+            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], self._step_information(k))
             for k in range(1, len(T))
             if self._segments[k - 1] == self._segments[k]
         ]
@@ -210,6 +213,18 @@ class GtsamBackend:
             for edge, noise in self._kept()
         ]
         write_g2o(path, enumerate(self.poses()), edges)
+
+    def _step_noise(self, keyframe: Keyframe) -> gtsam.noiseModel.Gaussian:
+        """Return the noise of the step to a keyframe: its own covariance, or the usual one."""
+        if keyframe.step_covariance is None:
+            return self._odometry_noise
+        floor = np.diag(step_sigmas(STEP_FLOOR, STEP_FLOOR) ** 2)
+        return gtsam.noiseModel.Gaussian.Covariance(keyframe.step_covariance + floor)
+
+    def _step_information(self, key: int) -> Array:
+        """Return the information (6, 6) of the step to a keyframe."""
+        factor: Any = self._odometry.at(key)
+        return np.asarray(factor.noiseModel().information())
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""

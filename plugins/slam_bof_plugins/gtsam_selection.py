@@ -24,6 +24,10 @@ __all__ = ["LOST_SIGMA", "Edge", "SelectionParams", "optimized", "pose3", "poses
 
 ROOT_SIGMA = 1e-3
 """Of the first node, in rad and in m; nothing pulls at it."""
+OPEN_SIGMA = 10.0
+"""Of an edge along the directions that it leaves open, in rad and m."""
+MAX_OPEN_SHARE = 1e-4
+"""An edge leaves a direction open if it holds less than this share of the edge's information."""
 LOST_SIGMA = 1.0
 """Of a step over which odometry was lost. Far less certain, and the linear systems become
 ill-posed; this too is nothing beside a loop."""
@@ -67,6 +71,7 @@ def weigh_loops(
     segments: NDArray[np.integer[Any]],
     stamps_s: Array,
     edges: Sequence[Edge],
+    informations: Sequence[Array],
     params: SelectionParams,
 ) -> tuple[NDArray[np.float64], gtsam.Values]:
     """Weigh each edge in [0, 1]: near 0 where it contradicts the others.
@@ -81,6 +86,8 @@ def weigh_loops(
     stamps_s
         (K,) their times; edges over less than ``local_s`` in one segment are not judged and
         weigh 1.
+    informations
+        (E,) their information (6, 6). What an edge leaves open speaks neither for nor against it.
 
     Returns
     -------
@@ -92,17 +99,18 @@ def weigh_loops(
     far = np.abs(stamps_s[query] - stamps_s[match]) >= params.local_s
     far |= segments[query] != segments[match]
     weights = np.ones(len(edges))
-    near = [e for e, is_far in zip(edges, far, strict=True) if not is_far]
-    settled = _settle(T_odom_camera, segments, near, params)
+    near = np.flatnonzero(~far).tolist()
+    settled = _settle(
+        T_odom_camera, segments, [edges[k] for k in near], [informations[k] for k in near], params
+    )
     if not any(far):
         return weights, _values(settled)
     steady = gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma)
     graph = _chain(settled, segments, steady)
     n_visible = graph.size()
-    noise = gtsam.noiseModel.Isotropic.Sigma(6, params.loop_sigma)
-    for edge, is_far in zip(edges, far, strict=True):
-        if is_far:
-            graph.add(gtsam.BetweenFactorPose3(*edge, noise))
+    for k in np.flatnonzero(far).tolist():
+        noise = _held_noise(informations[k], params.loop_sigma)
+        graph.add(gtsam.BetweenFactorPose3(*edges[k], noise))
     gnc = gtsam.GncLMParams()
     gnc.setKnownInliers(list(range(n_visible)))
     optimizer = gtsam.GncLMOptimizer(graph, _values(settled), gnc)
@@ -110,6 +118,16 @@ def weigh_loops(
     values = optimizer.optimize()
     weights[far] = np.asarray(optimizer.getWeights())[n_visible:]
     return weights, values
+
+
+def _held_noise(information: Array, sigma: float) -> gtsam.noiseModel.Base:
+    """Return noise of one sigma along the directions that an edge holds."""
+    values, axes = np.linalg.eigh(information)
+    open_axes = axes[:, values < MAX_OPEN_SHARE * values.sum()]
+    if open_axes.shape[1] == 0:
+        return gtsam.noiseModel.Isotropic.Sigma(6, sigma)
+    covariance = sigma**2 * np.eye(6) + OPEN_SIGMA**2 * open_axes @ open_axes.T
+    return gtsam.noiseModel.Gaussian.Covariance(covariance)
 
 
 def pose3(T: Pose) -> gtsam.Pose3:
@@ -139,16 +157,16 @@ def _settle(
     T_odom_camera: Array,
     segments: NDArray[np.integer[Any]],
     edges: Sequence[Edge],
+    informations: Sequence[Array],
     params: SelectionParams,
 ) -> Array:
     """Return the nodes (K, 4, 4) by odometry and the edges between neighbours, all robust."""
-    noise = gtsam.noiseModel.Robust.Create(
-        gtsam.noiseModel.mEstimator.Cauchy.Create(1.0),
-        gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma),
-    )
-    graph = _chain(T_odom_camera, segments, noise)
-    for edge in edges:
-        graph.add(gtsam.BetweenFactorPose3(*edge, noise))
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
+    steady = gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma)
+    graph = _chain(T_odom_camera, segments, gtsam.noiseModel.Robust.Create(kernel, steady))
+    for edge, information in zip(edges, informations, strict=True):
+        noise = _held_noise(information, params.local_sigma)
+        graph.add(gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise)))
     return poses_of(optimized(graph, _values(T_odom_camera)))
 
 

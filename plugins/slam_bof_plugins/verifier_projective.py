@@ -9,8 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-import os
-OPENV=bool(int(os.environ.get('OPENV','1')))
 
 import numpy as np
 from pydantic import Field
@@ -33,6 +31,13 @@ class ProjectiveParams(RegistrationQualityParams):
 
     alignment: AlignmentParams = AlignmentParams(
         n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_final_iterations=4
+    )
+    min_overlap_global: float = Field(
+        0.7,
+        ge=0,
+        le=1,
+        description="Smallest share of points with a match where registration started without a "
+        "guess: a search over many poses finds more overlap by chance.",
     )
     max_free_space_violation: float = Field(
         0.15,
@@ -100,18 +105,22 @@ class ProjectiveVerifier:
             for k in range(len(ids))
         ]
         return [
-            self._opened(query, int(match), v) if v.accepted and OPENV else v
-            for match, v in zip(ids, verifications, strict=True)
+            self._without_open_directions(query, match_id, verification)
+            for match_id, verification in zip(matches, verifications, strict=True)
         ]
 
-    def _opened(self, query: int, match: int, verification: Verification) -> Verification:
+    def _without_open_directions(
+        self, query: int, match: int, verification: Verification
+    ) -> Verification:
+        """Take away what information there seems to be along directions that nothing holds."""
+        if not verification.accepted:
+            return verification
         found = open_directions(self._aligner, query, match, verification.T_match_query)
         if found is None or found[1].shape[1] == 0:
             return verification
         directions, axes = found
-        return replace(
-            verification, information=directions.without(verification.information, axes)
-        )
+        information = directions.without(verification.information, axes)
+        return replace(verification, information=information, n_open=axes.shape[1])
 
     def _reason_against(self, free_space_violation: float) -> str:
         if free_space_violation <= self.params.max_free_space_violation:

@@ -1,10 +1,9 @@
-"""Which directions of a relative pose the surfaces in two views hold, and whether a better pose is
-near.
+"""Which directions of a relative pose the surfaces hold, and whether there is a better pose nearby.
 
-The curvature of point-to-plane residuals does not tell: it knows nothing of other minima, and the
-noise of normals passes for information. What tells is by how much two views agree less when one is
-shifted by a decimetre along a direction that the surfaces hold weakly. Where agreement does not
-fall, the direction is open: an alignment says nothing along it.
+The eigenvalues of the point-to-plane equations do not answer this: they know nothing of other
+minima, and the noise of normals counts as information. Instead, one view is shifted by 0.1 m either
+way along each weakly held direction. If the views agree as well as before, the direction is open:
+an alignment says nothing along it.
 """
 
 from __future__ import annotations
@@ -22,27 +21,27 @@ __all__ = ["PrincipalDirections", "open_directions", "search_weak_directions"]
 MAX_WEAK_INFORMATION = 0.04
 """Share of the points' information below which a direction is weakly held."""
 SHIFT_M = 0.1
-"""Views are shifted by so much to see whether they agree less."""
+"""Views are shifted by this distance to measure how far their agreement drops."""
 MIN_SCORE_DROP = 0.02
-"""A smaller drop of agreement, shifted either way, leaves a direction open."""
+"""A direction is open if agreement drops by less than this, whichever way the view is shifted."""
 MIN_SCORE_GAIN = 0.01
-"""Another pose must agree better by this to be taken instead."""
+"""Another pose must agree better by this much to be preferred."""
 MIN_VISIBLE_SHARE = 0.8
-"""So much of the overlap must be left at another pose: agreement of a small rest is easily had."""
+"""Another pose must keep this share of the overlap, because a small overlap agrees by chance."""
 SEARCH_ROUNDS = ((64, 0.15, 4), (32, 0.06, 2))
 """Number of poses tried in a round, their spread in m, and the number refined of them."""
 OPEN_INFORMATION = 1e-6
-"""Share of the information that is left along open directions."""
+"""Share of the information that is kept along open directions, so that it stays invertible."""
 MIN_PAIRS = 30
 MIN_RADIUS_M = 0.05
 
 
 class PrincipalDirections(NamedTuple):
-    """The information in point-to-plane pairs, by direction.
+    """The principal directions of the information in point-to-plane pairs.
 
-    Directions are columns of ``axes`` (6, 6), displacements in m of the query's points: a turn
-    about ``centre`` (3,) times ``radius_m``, then a translation, in the query's camera frame.
-    ``information`` (6,) is the share of each, in growing order.
+    Directions are the columns of ``axes`` (6, 6). They are displacements in metres, in the query's
+    camera frame: a rotation about ``centre`` (3,) times ``radius_m``, then a translation.
+    ``information`` (6,) is the mean over the points for each direction, in ascending order.
     """
 
     centre: Array
@@ -52,10 +51,10 @@ class PrincipalDirections(NamedTuple):
 
     @classmethod
     def of(cls, pairs: SurfacePairs) -> PrincipalDirections | None:
-        """Return those of pairs of points and surfaces; nothing where hardly any points meet.
+        """Return the principal directions of pairs, or None if there are too few pairs.
 
-        Products are of the query's normals with the match's, whose noise is independent, so that
-        noise does not add up to information.
+        The normals of the query are multiplied with those of the match. As their noise is
+        independent, it does not count as information.
         """
         points = pairs.points_query
         if len(points) < MIN_PAIRS:
@@ -92,7 +91,7 @@ class PrincipalDirections(NamedTuple):
         return np.concatenate([turn * self.radius_m, shift])
 
     def of_tangent(self) -> Array:
-        """Return the (6, 6) that makes a displacement of a tangent, rotation first."""
+        """Return the matrix (6, 6) from a tangent, rotation first, to its displacement."""
         x, y, z = self.centre
         A = np.zeros((6, 6))
         A[:3, :3] = self.radius_m * np.eye(3)
@@ -101,7 +100,7 @@ class PrincipalDirections(NamedTuple):
         return A
 
     def without(self, information: Array, axes: Array) -> Array:
-        """Return the information (6, 6) of a pose's tangent with next to none along axes (6, k)."""
+        """Return the information (6, 6) of a pose's tangent, reduced to almost none along axes."""
         A = self.of_tangent()
         inverse = np.linalg.inv(A)
         held = np.eye(6) - axes @ axes.T
@@ -110,7 +109,7 @@ class PrincipalDirections(NamedTuple):
         return np.asarray(A.T @ kept @ A)
 
     def keep(self, axes: Array, T: Pose, T_guess: Pose) -> Pose:
-        """Return the pose (4, 4) that is ``T_guess`` along some axes (6, k), and ``T`` else."""
+        """Return the pose (4, 4) that equals ``T_guess`` along axes (6, k), and ``T`` otherwise."""
         off = self.displacement(se3.inverse(T) @ T_guess)
         return T @ self.displace(axes @ (axes.T @ off))
 
@@ -118,9 +117,9 @@ class PrincipalDirections(NamedTuple):
 def open_directions(
     aligner: ViewAligner, query: int, match: int, T_match_query: Pose
 ) -> tuple[PrincipalDirections, Array] | None:
-    """Return an aligned pair's directions, and the axes (6, k) of those that nothing holds.
+    """Return the principal directions of an aligned pair, and the axes (6, k) that are open.
 
-    Nothing where hardly any surfaces meet.
+    None is returned if too few surfaces meet.
     """
     (pairs,) = aligner.surface_pairs(query, np.array([match]), T_match_query[None])
     directions = PrincipalDirections.of(pairs)
@@ -139,7 +138,11 @@ def open_directions(
 def search_weak_directions(
     aligner: ViewAligner, query: int, match: int, T_match_query: Pose, starts: Array, *, seed: int
 ) -> Pose:
-    """Return a better pose (4, 4) from other starts (n, 4, 4) or along weak directions, if any."""
+    """Search for a pose (4, 4) that agrees better; return ``T_match_query`` if there is none.
+
+    Alignment starts again from ``starts`` (n, 4, 4), and then from random poses along the weakly
+    held directions of the best pose so far.
+    """
     rng = np.random.default_rng(seed)
     best = T_match_query
     before = aligner.agreement_score(query, np.array([match]), best[None])

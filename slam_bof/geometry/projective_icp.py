@@ -39,15 +39,13 @@ MIN_COSINE = 0.6
 """Between the normals of points that match."""
 MIN_SPREAD = np.float32(0.02)
 """Mean square of normals along a direction, below which it is their noise."""
-MIN_INFORMATION = np.float32(0.003)
-"""Share of the points' weight that must hold a direction for a step along it to be taken whole."""
-N_COARSE_POINTS = 400
-MIN_PAIRS = 12
 MAX_LEVERAGE = np.float32(10.0)
-"""So many times as much as others may a point weigh whose normal is rare."""
-import os
-IV = bool(int(os.environ.get("IV", "1")))
-LEVERAGE = bool(int(os.environ.get("LEV", "1")))
+"""A point whose normal is rare counts at most so many times as much as others."""
+MIN_INFORMATION = np.float32(0.003)
+"""Steps along directions with a smaller share of the information are shortened."""
+MIN_PAIRS = 12
+"""With fewer pairs a view is not moved."""
+N_COARSE_POINTS = 400
 CHUNK = 2**15
 """Points computed at a time, that they stay in the cache."""
 
@@ -104,7 +102,7 @@ class AlignmentParams(Params):
         "m.",
     )
     min_step: float = Field(
-        1e-3,
+        5e-4,
         ge=0,
         description="Pairs that move by less than this, in rad and m, rest until the last "
         "iterations.",
@@ -351,12 +349,13 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _step(found: _Association, gate_m: np.float32) -> Floats:
-    """Return the small motions (n, 6), rotation first, of weighted least squares by instruments.
+    """Return the small motions (n, 6), rotation first, of weighted least squares.
 
-    Residuals and their derivatives are along the match's normals; the equations are formed with the
-    query's, whose noise is independent (instrumental variables). By the match's normals alone each
-    point would be drawn to the centre of the pixel that it fell on, and the variance of normals
-    would pass for information. What the surfaces leave open is not moved.
+    Residuals and their derivatives are along the match's normals, but the equations are weighted
+    by the query's normals, whose noise is independent (instrumental variables). With the match's
+    normals alone, each point would be drawn to the centre of the pixel that it falls on, and the
+    noise of normals would count as information. Views do not move along directions that the
+    surfaces leave open.
     """
     points, normals_query, normals_match, residuals_m, matched = found
     n, _, m = points.shape
@@ -367,8 +366,7 @@ def _step(found: _Association, gate_m: np.float32) -> Floats:
     weight *= weight
     weight *= np.float32(0.2) + np.float32(0.2) * np.square(points[:, 2])
     np.divide(matched, weight, out=weight)
-    if LEVERAGE:
-        weight *= _leverage(normals_query, matched)
+    weight *= _leverage(normals_query, matched)
     total = np.maximum(weight.sum(axis=1), np.float32(1e-6))
     weight /= total[:, None]
     centre = (points @ weight[:, :, None])[..., 0]
@@ -402,8 +400,8 @@ def _cross(a: Floats, b: Floats) -> Floats:
 def _leverage(normals: Floats, matched: NDArray[np.bool_]) -> Floats:
     """Weigh points (n, m) by how rare their normals (n, 3, m) are: n' N^-1 n, N their mean square.
 
-    A floor of thousand points then has no more say than the few that hold it sideways (normal-space
-    sampling, Rusinkiewicz and Levoy 2001, by weights).
+    The many points on a floor then do not outweigh the few that hold a view sideways. This is the
+    normal-space sampling of Rusinkiewicz and Levoy (2001), by weights.
     """
     kept = normals * matched[:, None]
     count = np.maximum(matched.sum(axis=1), 1)[:, None, None].astype(np.float32)

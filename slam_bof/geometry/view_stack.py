@@ -27,18 +27,19 @@ NORMAL_STEPS = 127
 
 
 MAX_STEP = np.float32(0.03)
-"""Neighbouring depths are interpolated up to a difference of this share of (1 m + depth)."""
+"""Depths are interpolated if they differ by less than this share of (1 m + depth)."""
 
 
 class ProjectedPoints(NamedTuple):
     """Projections of points into images; each array is (n, m)."""
 
     column: Floats
-    """Of the nearest pixel, as are the rows."""
+    """Column of the nearest pixel."""
     row: Floats
-    beside: Floats
-    """From there to the projection, in columns, -0.5 to 0.5."""
-    below: Floats
+    """Row of the nearest pixel."""
+    column_offset: Floats
+    """Offset of the projection from that pixel in columns, -0.5 to 0.5."""
+    row_offset: Floats
     """The same in rows."""
     depth_m: Floats
     """Depth of the points, not of the image."""
@@ -141,16 +142,16 @@ class ViewStack:
         np.divide(np.float32(1.0), inverse, out=inverse)
         column *= inverse
         row *= inverse
-        beside, below = column, row
+        column_offset, row_offset = column, row
         column, row = np.rint(column), np.rint(row)
-        beside -= column
-        below -= row
+        column_offset -= column
+        row_offset -= row
         inside = depth > NEAR_M
         inside &= column >= 0
         inside &= column < camera.width
         inside &= row >= 0
         inside &= row < camera.height
-        return ProjectedPoints(column, row, beside, below, depth, inside)
+        return ProjectedPoints(column, row, column_offset, row_offset, depth, inside)
 
     def depth_at(self, views: int | Indices, projected: ProjectedPoints) -> tuple[Floats, Indices]:
         """Return the depths (n, m) of views (n,) at projected points, 0 outside, and flat indices.
@@ -170,11 +171,11 @@ class ViewStack:
     def interpolated_depth_at(
         self, views: int | Indices, projected: ProjectedPoints
     ) -> tuple[Floats, Indices]:
-        """Return what ``depth_at`` does, interpolated between pixels where they show one surface.
+        """Return the result of ``depth_at``, interpolated between pixels on the same surface.
 
-        The inverse depth of a plane is linear in the image. Taken at whole pixels instead, depth on
-        a floor that is seen at a flat angle may be off by decimetres, and views would seem to agree
-        best where whole pixels meet.
+        The inverse depth of a plane is linear in the image. Without interpolation, the depth of a
+        floor at a grazing angle may be off by decimetres, and views would seem to agree best where
+        their pixels coincide.
         """
         assert self._camera is not None
         width = self._camera.width
@@ -183,7 +184,7 @@ class ViewStack:
         inverse = np.zeros_like(depth_m)
         np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
         change = np.zeros_like(depth_m)
-        for offset, step in ((projected.beside, 1), (projected.below, width)):
+        for offset, step in ((projected.column_offset, 1), (projected.row_offset, width)):
             aside = np.where(offset > 0, step, -step)
             aside += addresses
             near_m = flat.take(aside, mode="clip")

@@ -29,7 +29,7 @@ __all__ = [
 
 
 SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
-"""Metres and shares of depth: coarse ones tell from afar, fine ones which of two is the better."""
+"""Tolerances in m and as a share of depth, from coarse to fine."""
 N_SCORE_POINTS = 500
 
 
@@ -58,13 +58,13 @@ class Coverage(NamedTuple):
 
 
 class AgreementScore(NamedTuple):
-    """How well poses agree, each (n,)."""
+    """How well a view agrees with others at given poses, each (n,)."""
 
     score: Floats
-    """Share of inliers less half that of free-space violations, of all points that can be compared,
-    both ways; the mean over several tolerances."""
+    """Share of inliers minus half the share of free-space violations among the points that can be
+    compared, in both directions; the mean over several tolerances."""
     visible_ratio: Floats
-    """Share of points that can be compared; the smaller of both ways."""
+    """Share of points that can be compared; the smaller of both directions."""
 
 
 class PointVisibility(NamedTuple):
@@ -118,7 +118,7 @@ def agreement(
 def agreement_score(
     views: ViewStack, query: int, matches: Indices, T_match_query: Array
 ) -> AgreementScore:
-    """Score poses (n, 4, 4) of the query in the matches (n,) finely enough to tell two apart."""
+    """Score poses (n, 4, 4) of the query in the matches (n,), to choose between nearby poses."""
     n_compared = np.zeros(len(matches))
     worth = np.zeros(len(matches))
     visible_ratio = np.ones(len(matches))

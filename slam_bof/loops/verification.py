@@ -149,6 +149,8 @@ class LoopVerification:
             ):
                 # Too little to claim a loop, but two views of the same surfaces all the same.
                 candidate = replace(candidate, kind=EdgeKind.COVISIBILITY)
+            if verified.n_open and candidate.kind == EdgeKind.COVISIBILITY:
+                candidate = replace(candidate, kind=EdgeKind.PARTIAL)
             if candidate.decision == Decision.ACCEPTED:
                 decision, reason = _take(candidate, verified)
             else:
@@ -225,6 +227,8 @@ class LoopVerification:
         p = self.params
         if candidate.kind != EdgeKind.LOOP:
             return ""
+        if verified.n_open:
+            return _open_reason(verified)
         if verified.overlap < p.min_overlap:
             return f"overlap {verified.overlap:.2f} below the {p.min_overlap:g} that a loop needs"
         distance_m, angle_rad = _size(verified.T_match_query)
@@ -256,10 +260,16 @@ class LoopVerification:
 def _take(candidate: Candidate, verified: Verification) -> tuple[Decision, str]:
     """Return decision and reason of a candidate that recognition accepted already."""
     information = verified.information
+    if verified.n_open and candidate.kind == EdgeKind.LOOP:
+        return Decision.REJECTED, f"{candidate.reason}; {_open_reason(verified)}"
     if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
         return Decision.REJECTED, f"{candidate.reason}; no relative pose: {verified.reason}"
     reason_against = f"; geometry objects: {verified.reason}" if verified.reason else ""
     return Decision.ACCEPTED, candidate.reason + reason_against
+
+
+def _open_reason(verified: Verification) -> str:
+    return f"the surfaces leave {verified.n_open} of 6 directions open"
 
 
 def _size(T: Pose) -> tuple[float, float]:

@@ -147,7 +147,13 @@ class KeyframeMap:
         self._scene_filter = SceneFilter(self._config.labels)
 
     def describe(
-        self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
+        self,
+        frame_index: int,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        *,
+        segment: int,
+        step_covariance: Array | None = None,
     ) -> Keyframe:
         """Describe and label a frame as the next keyframe."""
         with self._clock.stage("describe"):
@@ -169,6 +175,7 @@ class KeyframeMap:
             segment=segment,
             smoothed=smoothed,
             session=self.session,
+            step_covariance=step_covariance,
         )
 
     def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:

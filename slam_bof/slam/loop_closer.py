@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
 from slam_bof.geometry import (
@@ -91,25 +92,43 @@ class LoopCloser:
 
     @one_blas_thread()
     def process(
-        self, frame: DepthFrame, T_odom_camera: Pose, *, T_view_camera: Pose | None = None
+        self,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        covariance: ArrayLike | None = None,
+        *,
+        T_view_camera: Pose | None = None,
     ) -> Step:
         """Process a frame and its odometry pose (4, 4); return the correction by the map.
 
-        ``T_view_camera`` (4, 4) is the pose of the sensor in the camera of the frame, if the frame
-        was projected from a point cloud; see ``FramePose``.
+        Parameters
+        ----------
+        frame
+            The depth image.
+        T_odom_camera
+            (4, 4) pose of the camera in the odometry frame.
+        covariance
+            (6, 6) or (36,) covariance of the odometry's step since the frame before, in m^2 and
+            rad^2, in the order of ``nav_msgs/Odometry``: x, y, z, then rotations about them, along
+            the axes of the camera. With it, odometry is corrected only as far as it may be wrong.
+            Without it, the noise of odometry is learnt from its differences to alignment.
+        T_view_camera
+            (4, 4) pose of the sensor in the camera of the frame, if the frame was projected from a
+            point cloud; see ``FramePose``.
 
         Raises
         ------
         ValueError
             If the time stamp does not increase, the camera differs from that of the frames before,
-            or the pose is not a finite rigid transform. Such a frame is ignored, and the next call
-            may continue.
+            the pose is not a finite rigid transform, or the covariance is not positive
+            semidefinite. Such a frame is ignored, and the next call may continue.
         """
         frame_index = len(self.history)
+        step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
         T_odom_camera = self._check(frame, T_odom_camera)
         frame = quantize_depth(frame.with_sensor(self._config.sensor))
         with self._clock.stage("track"):
-            track = self._tracker.track(frame, T_odom_camera)
+            track = self._tracker.track(frame, T_odom_camera, step_covariance)
         segment = LOST if track.is_lost else track.segment
         self.history.frames.append(
             FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
@@ -122,9 +141,16 @@ class LoopCloser:
             frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
             self._tracker.keep()
+            self.history.frames[-1] = replace(
+                self.history.frames[-1], step_covariance=track.step_covariance
+            )
             unsaved = tuple(self.frames_since_keyframe)
             keyframe = self._map.describe(
-                frame_index, frame, track.T_odom_camera, segment=track.segment
+                frame_index,
+                frame,
+                track.T_odom_camera,
+                segment=track.segment,
+                step_covariance=track.step_covariance,
             )
             verified = self._map.add(keyframe, frame)
             self._save(keyframe, frame, unsaved, verified)
@@ -134,7 +160,8 @@ class LoopCloser:
             scene = self._map.keyframes[-1].scene if self._map.keyframes else None
             step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
         T_map_camera = self._map.T_map_track @ track.T_odom_camera
-        return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
+        T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)
+        return replace(step, T_map_odom=T_map_odom, open_axes=track.open_axes)
 
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
         """Process a point cloud instead of a depth image, like ``process``.
@@ -295,3 +322,18 @@ class LoopCloser:
                 },
             )
             self.journal(record)
+
+
+def _rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
+    """Check a covariance in the order of ``nav_msgs/Odometry``; return it with rotation first."""
+    found = np.asarray(covariance, dtype=np.float64)
+    place = f"covariance of frame {frame_index}"
+    if found.size != 36:
+        raise ValueError(f"{place}: found an array {found.shape}, expected (6, 6)")
+    found = found.reshape(6, 6)
+    if not np.isfinite(found).all() or np.abs(found - found.T).max() > 1e-6 * np.abs(found).max():
+        raise ValueError(f"{place}: expected 36 finite numbers, symmetric")
+    if np.linalg.eigvalsh(found)[0] < -1e-9 * max(float(np.trace(found)), 1e-30):
+        raise ValueError(f"{place}: expected no negative variance in any direction")
+    order = [3, 4, 5, 0, 1, 2]
+    return np.asarray(found[np.ix_(order, order)])

@@ -62,7 +62,11 @@ def replay_keyframes(
         )
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
-            keyframe=replace(keyframe, T_odom_camera=poses[-1].T_odom_camera),
+            keyframe=replace(
+                keyframe,
+                T_odom_camera=poses[-1].T_odom_camera,
+                step_covariance=poses[-1].step_covariance,
+            ),
             depth=store.depth_of(views[0]),
             frames=poses,
             candidates=tuple(map(decode_candidate, own)),

@@ -170,22 +170,31 @@ def decode_view(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     return SubsampledDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
 
 
+POSE_BYTES = 12 * 8
+"""Size of a pose (3, 4). The pose of a keyframe may be followed by the covariance of its step."""
+
+
 def encode_frame(session: int, frame_index: int, frame: FramePose) -> Row:
     """Return the values of ``INSERT_FRAME``."""
     view = None if frame.T_view_camera is None else _to_blob(frame.T_view_camera[:3], "<f8")
-    poses = (_to_blob(frame.T_odom_raw[:3], "<f8"), _to_blob(frame.T_odom_camera[:3], "<f8"), view)
+    pose = _to_blob(frame.T_odom_camera[:3], "<f8")
+    if frame.step_covariance is not None:
+        pose += _to_blob(frame.step_covariance, "<f8")
+    poses = (_to_blob(frame.T_odom_raw[:3], "<f8"), pose, view)
     return (session, int(frame_index), float(frame.stamp_s), int(frame.segment), *poses)
 
 
 def decode_frame(row: Any) -> FramePose:
     """Return the frame in a row of ``frames``."""
     view = row["T_view_camera"]
+    covariance = row["T_odom_camera"][POSE_BYTES:]
     return FramePose(
         stamp_s=row["stamp_s"],
         T_odom_raw=_pose_of_3x4(row["T_odom_raw"]),
-        T_odom_camera=_pose_of_3x4(row["T_odom_camera"]),
+        T_odom_camera=_pose_of_3x4(row["T_odom_camera"][:POSE_BYTES]),
         segment=row["segment"],
         T_view_camera=None if view is None else _pose_of_3x4(view),
+        step_covariance=_from_blob(covariance, "<f8").reshape(6, 6) if covariance else None,
     )
 
 

@@ -25,7 +25,9 @@ table           columns
 ``frames``      Every frame up to the newest keyframe, and every frame of a finished session:
                 ``id``, ``session``, ``frame_index``, ``stamp_s``; ``segment`` (-1: odometry was
                 lost); ``T_odom_raw`` from odometry and ``T_odom_camera`` corrected by tracking,
-                float64 (3, 4); ``T_view_camera`` for point clouds, null for depth images.
+                float64 (3, 4), of keyframes followed by the covariance (6, 6) of the step from
+                the keyframe before, if it is known; ``T_view_camera`` for point clouds, null for
+                depth images.
 ``candidates``  The audit trail, one row for each pair considered: ``id`` and the fields of
                 ``slam_bof.types.Candidate``, null where not measured. ``decision`` is
                 ``accepted``, ``rejected`` or ``held`` (waiting for loops that agree).

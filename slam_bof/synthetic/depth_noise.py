@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.synthetic.scene import View
-from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.types import Intrinsics
 
 __all__ = ["SENSORS", "DepthSensor"]
@@ -53,7 +53,7 @@ def _white(view: View, rng: np.random.Generator) -> NDArray[np.uint16]:
 
 def _kinect(view: View, rng: np.random.Generator) -> NDArray[np.uint16]:
     """Measure as the Kinect of 7-Scenes does, at half its resolution."""
-    params = SensorParams(focal_px=585.0, lateral_px=0.5, patch_px=3, border_px=4)
+    params = SensorModelParams(focal_px=585.0, lateral_px=0.5, patch_px=3, border_px=4)
     return sense(view.depth_m, view.returned, rng, params)
 
 

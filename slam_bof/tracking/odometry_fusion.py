@@ -57,7 +57,7 @@ class OdometryFusion:
         self._visits = []
 
     def carry(self, T: Pose) -> None:
-        """Carry the track by ``T`` (4, 4), all poses so far with it."""
+        """Move the whole track by ``T`` (4, 4)."""
         self._T_track_odometry = _rigid(T @ self._T_track_odometry)
         self._visits = [visit._replace(T_aligned=T @ visit.T_aligned) for visit in self._visits]
 

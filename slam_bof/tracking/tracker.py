@@ -1,13 +1,17 @@
-"""Follow the camera beside its odometry: mend the odometry's slips, and notice when it is lost.
+"""Track the camera alongside its odometry: correct small errors, and notice when it is lost.
 
-Each frame is aligned with the last keyframe, from where odometry has it, by some thousand points
-of a small view. Where it does not agree with what the keyframe sees, nor with what the frame
-before it saw, not even after a search about the place, the track is lost: a quick turn, a covered
-lens, an odometry that was started anew. It is found again at a frame that agrees with the last
-keyframe after all; or it starts anew once two frames in a row agree with each other.
+Each frame is aligned with the last keyframe by about a thousand points of a small view, starting
+from the pose by odometry. If the two views agree less than usual, other starts are tried as well.
+Along directions that the surfaces leave open, the pose by odometry is kept.
 
-While the track is followed, odometry keeps as much say as it deserves (``fusion``): there is one
-that errs by less from frame to frame than an alignment.
+If the frame agrees neither with the keyframe nor with the frame before it, not even after a search
+around the pose, and what the views show contradicts odometry, the track is lost: after a quick
+turn, behind a covered lens, or because odometry was restarted. If the views merely have little in
+common, odometry is believed. A lost track resumes at a frame that agrees with the last keyframe
+after all; or a new segment begins once two frames in a row agree with each other.
+
+While the track is followed, odometry is weighted against alignment (``odometry_fusion``), because
+from frame to frame it may be the more precise of the two.
 """
 
 from __future__ import annotations
@@ -28,7 +32,6 @@ from slam_bof.geometry import (
     search_weak_directions,
 )
 from slam_bof.tracking.odometry_fusion import OdometryFusion
-from slam_bof.tracking.step_noise import StepNoise
 from slam_bof.types import Array, DepthFrame, Params, Pose
 
 __all__ = ["Track", "Tracker", "TrackingParams"]
@@ -37,24 +40,17 @@ KEYFRAME, FRAME, BEFORE = 0, 1, 2
 """Views that the aligner holds: the last keyframe, the frame and, if asked, the one before it."""
 
 MARGIN = 0.1
-"""By so much must a pose by odometry agree better to be taken instead of the aligned one, which
-is more exact than agreement can tell."""
+"""The pose by odometry must agree better by this much to be preferred to the aligned one, which is
+more precise than agreement can tell."""
 REFERENCE_RATIO_RANGE = 0.5, 0.85
-"""What agreement is usual is said by the first frame after the first keyframe, between these ..."""
+"""The first frame after the first keyframe sets the usual inlier ratio, within these limits."""
 FORGETTING = 0.1
-"""... and by each one since, at this weight."""
-
-
-import os
-MAX_SCORE_DROP = 0.03
-BELIEVE = bool(int(os.environ.get("BELIEVE", "1")))
-MAX_VIOLATION = 0.1
-SLIP_DROP = 0.05
+"""Weight of each later frame in the usual inlier ratio, score and free-space violation."""
 MAX_LEAP_M, MAX_LEAP_RAD = 0.7, 0.7
-WEIGH = bool(int(os.environ.get("WEIGH", "1")))
-DBG = bool(int(os.environ.get("DBG", "0")))
-SEARCH = os.environ.get("SEARCH", "drop")
-OPEN = os.environ.get("OPEN", "guess")
+"""Odometry that moves farther than this out of what both views see is not believed."""
+OPEN_VARIANCE = 1e4
+"""Variance of alignment along open directions."""
+NO_AXES: Array = np.empty((6, 0))
 
 
 class TrackingParams(Params):
@@ -98,15 +94,36 @@ class TrackingParams(Params):
         le=1,
         description="The same for a frame whose pose had to be searched for.",
     )
+    max_score_drop: float = Field(
+        0.01,
+        ge=0,
+        description="Largest drop of the agreement score below its running mean at which no other "
+        "starts are tried.",
+    )
+    max_free_space_violation: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="Largest share of points in front of what the other view sees, above its "
+        "running mean, at which odometry is believed although the views do not agree.",
+    )
+    alignment_sigma_rad: float = Field(
+        0.002,
+        gt=0,
+        description="Standard deviation of the rotation by alignment, in rad, against which a "
+        "covariance of odometry is weighted.",
+    )
+    alignment_sigma_m: float = Field(
+        0.005,
+        gt=0,
+        description="The same for the translation, in m.",
+    )
     min_valid_pixel_ratio: float = Field(
         0.05,
         ge=0,
         le=1,
         description="Smallest share of pixels with a depth.",
     )
-
-
-NO_AXES = np.empty((6, 0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +134,9 @@ class Track:
     ``is_lost`` it follows the odometry's motion, for want of better. ``segment`` counts how
     often the track began anew: what the poses of two segments say of each other is a guess.
     ``inlier_ratio`` is the share of points that the last keyframe sees too, NaN where not measured.
+    ``open_axes`` (6, k) are tangents of the pose, rotation first, along which the surfaces hold
+    nothing. ``step_covariance`` (6, 6) is that of the step since the last keyframe, rotation first,
+    if the odometry's is known.
     """
 
     T_odom_camera: Pose
@@ -128,28 +148,26 @@ class Track:
 
 
 class _Registration(NamedTuple):
-    """A pose of the frame, how far it agrees with a view, and by how much of either that is."""
+    """A pose of the frame, and how far it agrees with a view."""
 
     T_odom_frame: Pose
     agreement: float
+    """Share of inliers among the points that can be compared."""
     visible_ratio: float
-    free_space_violation: float = 0.0
+    """Share of the points that can be compared."""
+    free_space_violation: float
     open_axes: Array = NO_AXES
+    """Tangents (6, k) of the pose along which the surfaces hold nothing."""
 
 
 class _Found(NamedTuple):
     """Where a frame is, what the keyframe sees of it, and whether it follows the one before."""
 
     T_odom_camera: Pose | None
+    """None if only odometry tells."""
     inlier_ratio: float
     is_followed: bool
     open_axes: Array = NO_AXES
-
-
-def of_odometry_along(axes: Array, covariance: Array) -> Array:
-    """Return ``S`` such that ``axes @ S`` is the part of a covariance (6, 6) along axes (6, k)."""
-    inverse = np.linalg.pinv(axes)
-    return np.asarray(inverse @ covariance @ inverse.T @ axes.T)
 
 
 class Tracker:
@@ -163,52 +181,49 @@ class Tracker:
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._segment = segment
         self._is_lost = False
+        self._seed = seed
         self._reference_inlier_ratio = float("nan")
+        self._reference_score = float("nan")
+        self._reference_violation = 0.0
         self._view: DepthView | None = None
         self._fusion = OdometryFusion()
         self._T_last = self._T_before = self._T_known = self._T_keyframe = np.eye(4)
-        self._reference_score = float("nan")
-        self._seed = seed
-        self._reference_violation = 0.0
-        self._noise = StepNoise()
         self._T_odometry = self._T_odometry_keyframe = np.eye(4)
-        self._T_keyframe_aligned: Pose | None = None
-        self._T_before_keyframe: Pose | None = None
-        self._given_covariance: Array | None = None
-        self._view_keyframe: DepthView | None = None
-        self._view_before: DepthView | None = None
+        self._covariance: Array | None = None
 
     def track(
         self, frame: DepthFrame, T_odom_camera: Pose, covariance: Array | None = None
     ) -> Track:
         """Say where the frame is, given its pose (4, 4) by odometry.
 
-        ``covariance`` (6, 6) is odometry's of the step since the frame before, rotation first,
-        along the camera's axes.
+        ``covariance`` (6, 6) is that of the odometry's step since the frame before, rotation first,
+        in rad^2 and m^2 along the axes of the camera.
         """
+        self._T_odometry = T_odom_camera
+        self._add_covariance(covariance)
         if not self.params.enabled:
-            return Track(T_odom_camera, False, self._segment, float("nan"))
+            return Track(
+                T_odom_camera,
+                False,
+                self._segment,
+                float("nan"),
+                step_covariance=self._covariance,
+            )
         before, self._view = self._view, self._look(frame)
-        if covariance is not None:
-            known = np.zeros((6, 6)) if self._given_covariance is None else self._given_covariance
-            self._given_covariance = known + covariance
         T_guess = self._fusion.predict(T_odom_camera)
         found = self._find(before, T_guess)
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
         T, inlier_ratio, is_followed, open_axes = found or _Found(T_guess, float("nan"), False)
-        self._T_odometry = T_odom_camera
-        self._T_keyframe_aligned = None
-        step_covariance: Array | None = None
+        step_covariance = None
         if T is None:
-            T = T_guess
+            T, step_covariance = T_guess, self._covariance
             self._fusion.change_reference()
         elif is_followed:
-            if open_axes.shape[1] == 0:
-                self._T_keyframe_aligned = se3.inverse(self._T_keyframe) @ T
             T = self._fusion.fuse(T_odom_camera, T)
-            T, step_covariance = self._weigh(T_odom_camera, T, open_axes)
+            if self._covariance is not None:
+                T, step_covariance = self._weigh(T_odom_camera, T, self._covariance, open_axes)
         T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
         if not is_followed:
             self._fusion.restart(T_odom_camera, T)
@@ -217,57 +232,11 @@ class Tracker:
         self._T_before, self._T_last, self._is_lost = self._T_last, T, is_lost
         return Track(T, is_lost, self._segment, inlier_ratio, open_axes, step_covariance)
 
-    def _weigh(self, T_odometry: Pose, T_fused: Pose, open_axes: Array) -> tuple[Pose, Array]:
-        """Weigh odometry's step since the keyframe against the one by alignment.
-
-        Returns the pose (4, 4) and the covariance (6, 6) of the step.
-        """
-        step = se3.inverse(self._T_odometry_keyframe) @ T_odometry
-        T_by_odometry = self._T_keyframe @ step
-        difference = se3.log(se3.inverse(T_by_odometry) @ T_fused)
-        of_alignment, of_odometry = self._noise.of_alignment, self._noise.of_odometry
-        if self._given_covariance is not None:
-            of_odometry = self._given_covariance
-        elif self._noise.is_slip(difference) and self._agrees_worse(T_by_odometry, T_fused):
-            return T_fused, of_alignment + open_axes @ of_odometry_along(open_axes, of_odometry)
-        if not WEIGH: return T_fused, of_alignment
-        gain = of_odometry @ np.linalg.inv(of_odometry + of_alignment)
-        T = T_by_odometry @ se3.exp(gain @ difference)
-        self._fusion.carry(T @ se3.inverse(T_fused))
-        return T, gain @ of_alignment + open_axes @ of_odometry_along(open_axes, of_odometry)
-
-    def _agrees_worse(self, T_odom_frame: Pose, T_odom_other: Pose) -> bool:
-        """Tell whether the keyframe agrees clearly worse with one pose than with another."""
-        T = se3.inverse(self._T_keyframe) @ np.stack([T_odom_frame, T_odom_other])
-        score = self._aligner.agreement_score(FRAME, np.array([KEYFRAME, KEYFRAME]), T).score
-        return bool(score[0] < score[1] - SLIP_DROP)
-
-    def _learn_step(self) -> None:
-        """Learn what the step to the new keyframe tells, before it takes the old one's place."""
-        T_keyframe_frame = self._T_keyframe_aligned
-        if T_keyframe_frame is not None:
-            step = se3.inverse(self._T_odometry_keyframe) @ self._T_odometry
-            difference = se3.log(se3.inverse(step) @ T_keyframe_frame)
-            closure = None
-            if self._T_before_keyframe is not None and self._view_before is not None:
-                self._aligner.truncate(BEFORE)
-                self._aligner.add(self._view_before)
-                expected = self._T_before_keyframe @ T_keyframe_frame
-                (T,) = self._aligner.refine(FRAME, np.array([BEFORE]), expected[None])
-                if self._is_usual(self._evaluate(BEFORE, np.eye(4), T)):
-                    closure = se3.log(se3.inverse(expected) @ T)
-            self._noise.learn(difference, closure)
-            if DBG: print("step", np.round(1e3*difference[3:],1), None if closure is None else np.round(1e3*closure[3:],1), "rms mm", np.round(1e3*np.sqrt(self._noise._alignment[1]),1), np.round(1e3*np.sqrt(self._noise._difference[1]),1))
-        self._T_before_keyframe = T_keyframe_frame
-
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
+        self._T_odometry_keyframe = self._T_odometry
+        self._covariance = None if self._covariance is None else np.zeros((6, 6))
         if self._view is not None:
-            if len(self._aligner):
-                self._learn_step()
-            self._view_before, self._view_keyframe = self._view_keyframe, self._view
-            self._T_odometry_keyframe = self._T_odometry
-            self._given_covariance = None
             self._aligner.truncate(KEYFRAME)
             self._aligner.add(self._view)
             self._T_keyframe = self._T_last
@@ -276,17 +245,30 @@ class Tracker:
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
         reference = None if np.isnan(self._reference_inlier_ratio) else self._reference_inlier_ratio
-        return {"n_lost": self.n_lost, "usual": reference, "fusion": self._fusion.state()}
+        score = None if np.isnan(self._reference_score) else self._reference_score
+        return {
+            "n_lost": self.n_lost,
+            "usual": reference,
+            "usual_score": score,
+            "usual_violation": self._reference_violation,
+            "T_before": self._T_before.tolist(),
+            "fusion": self._fusion.state(),
+        }
 
     def restore(self, state: dict[str, Any], frame: DepthFrame, track: Track) -> None:
         """Go on from a keyframe: its frame, and where it was found to be."""
         self.n_lost = state["n_lost"]
         self._reference_inlier_ratio = float("nan") if state["usual"] is None else state["usual"]
+        # Maps that were saved before scores were measured do not have them.
+        score = state.get("usual_score")
+        self._reference_score = float("nan") if score is None else score
+        self._reference_violation = state.get("usual_violation", 0.0)
         self._segment = track.segment
         if self.params.enabled:
             self._view = self._look(frame)
             self._is_lost = False
             self._T_last = self._T_known = track.T_odom_camera
+            self._T_before = np.array(state.get("T_before", track.T_odom_camera))
             self.keep()
             self._fusion.restore(state["fusion"])
 
@@ -311,11 +293,11 @@ class Tracker:
                 np.clip(followed.agreement, *REFERENCE_RATIO_RANGE)
             )
         if not self._is_lost and self._is_usual(followed):
-            self._reference_violation += FORGETTING * (
-                followed.free_space_violation - self._reference_violation
-            )
             self._reference_inlier_ratio += FORGETTING * (
                 followed.agreement - self._reference_inlier_ratio
+            )
+            self._reference_violation += FORGETTING * (
+                followed.free_space_violation - self._reference_violation
             )
             return _Found(followed.T_odom_frame, inlier_ratio, True, followed.open_axes)
         from_before = None
@@ -330,26 +312,9 @@ class Tracker:
         if self._is_lost and from_before and self._is_good(from_before):
             self._segment += 1
             return _Found(from_before.T_odom_frame, 0.0, False)
-        if BELIEVE and not self._is_lost and not self._is_contradicted(T_guess, before):
+        if not self._is_lost and not self._is_contradicted(T_guess, before):
             return _Found(None, float("nan"), True)
         return None
-
-    def _is_contradicted(self, T_guess: Pose, before: DepthView | None) -> bool:
-        """Tell whether either view that the frame can be compared with contradicts odometry.
-
-        So does a leap out of what both see, which no camera makes from one frame to the next.
-        """
-        views = [(KEYFRAME, self._T_keyframe)]
-        if before is not None:
-            views.append((BEFORE, self._T_last))
-        fits = [self._evaluate(k, T, se3.inverse(T) @ T_guess) for k, T in views]
-        limit = self._reference_violation + MAX_VIOLATION
-        if any(fit.free_space_violation > limit for fit in fits):
-            return True
-        step = se3.inverse(self._T_last) @ T_guess
-        leaps = np.linalg.norm(step[:3, 3]) > MAX_LEAP_M or se3.rotation_angle(step) > MAX_LEAP_RAD
-        is_seen = max(fit.visible_ratio for fit in fits) >= self.params.min_visible_ratio
-        return bool(leaps) and not is_seen
 
     def _is_usual(self, registration: _Registration) -> bool:
         p = self.params
@@ -366,38 +331,84 @@ class Tracker:
             >= self._reference_inlier_ratio - p.max_inlier_drop_relocalised
         )
 
+    def _is_contradicted(self, T_guess: Pose, before: DepthView | None) -> bool:
+        """Return whether a view contradicts odometry, or odometry leaps out of what both see."""
+        p = self.params
+        views = [(KEYFRAME, self._T_keyframe)]
+        if before is not None:
+            views.append((BEFORE, self._T_last))
+        at_guess = [self._evaluate(k, T, se3.inverse(T) @ T_guess) for k, T in views]
+        limit = self._reference_violation + p.max_free_space_violation
+        if any(registration.free_space_violation > limit for registration in at_guess):
+            return True
+        if any(registration.visible_ratio >= p.min_visible_ratio for registration in at_guess):
+            return False
+        step = se3.inverse(self._T_last) @ T_guess
+        moved_m, turned_rad = np.linalg.norm(step[:3, 3]), se3.rotation_angle(step)
+        return bool(moved_m > MAX_LEAP_M or turned_rad > MAX_LEAP_RAD)
+
+    def _add_covariance(self, covariance: Array | None) -> None:
+        """Add up the covariance of the odometry's steps since the last keyframe."""
+        if covariance is not None:
+            so_far = 0.0 if self._covariance is None else self._covariance
+            self._covariance = so_far + covariance
+
+    def _weigh(
+        self, T_odometry: Pose, T_aligned: Pose, covariance: Array, open_axes: Array
+    ) -> tuple[Pose, Array]:
+        """Weigh the step since the keyframe by odometry, of known covariance, against alignment.
+
+        Returns the pose (4, 4) and the covariance (6, 6) of the step.
+        """
+        sigma = np.repeat([self.params.alignment_sigma_rad, self.params.alignment_sigma_m], 3)
+        step = se3.inverse(self._T_odometry_keyframe) @ T_odometry
+        T_by_odometry = self._T_keyframe @ step
+        of_alignment = np.diag(np.square(sigma)) + OPEN_VARIANCE * open_axes @ open_axes.T
+        gain = covariance @ np.linalg.inv(covariance + of_alignment)
+        difference = se3.log(se3.inverse(T_by_odometry) @ T_aligned)
+        T = T_by_odometry @ se3.exp(gain @ difference)
+        self._fusion.carry(T @ se3.inverse(T_aligned))
+        return T, covariance - gain @ covariance
+
     def _follow(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Registration:
-        """Align the frame with a view from where odometry has it."""
+        """Align the frame with a view from where odometry has it, or from elsewhere if in doubt."""
         T_view_guess = se3.inverse(T_odom_view) @ T_guess
-        T_view_mended = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
-        T = T_view_mended
-        mended = self._evaluate(view_id, T_odom_view, T)
-        if mended.agreement <= 1.0 - MARGIN:
+        T = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
+        aligned = self._evaluate(view_id, T_odom_view, T)
+        if aligned.agreement <= 1.0 - MARGIN:
             guessed = self._evaluate(view_id, T_odom_view, T_view_guess)
-            if guessed.agreement > mended.agreement + MARGIN:
+            if guessed.agreement > aligned.agreement + MARGIN:
                 T = T_view_guess
-        match = np.array([view_id])
-        score = float(self._aligner.agreement_score(FRAME, match, T[None]).score[0])
-        if SEARCH == "always" or (SEARCH == "drop" and not score >= self._reference_score - MAX_SCORE_DROP):
+        T = self._improve(view_id, T_odom_view, T)
+        found = open_directions(self._aligner, FRAME, view_id, T)
+        open_axes: Array = NO_AXES
+        if found is not None:
+            directions, open_displacements = found
+            T = directions.keep(open_displacements, T, T_view_guess)
+            open_axes = np.asarray(np.linalg.solve(directions.of_tangent(), open_displacements))
+        return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=open_axes)
+
+    def _improve(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> Pose:
+        """Return a better pose if the views agree less than usual and there is one."""
+        score = self._score(view_id, T_view_frame)
+        # Nothing is usual yet at first, so the comparison is false and a better pose is looked for.
+        if not score >= self._reference_score - self.params.max_score_drop:
             T_view_last = se3.inverse(T_odom_view) @ self._T_last
-            starts = np.stack([T_view_last, T_view_last @ se3.inverse(self._T_before) @ self._T_last])
-            T = search_weak_directions(self._aligner, FRAME, view_id, T, starts, seed=self._seed)
-            score = float(self._aligner.agreement_score(FRAME, match, T[None]).score[0])
+            step = se3.inverse(self._T_before) @ self._T_last
+            starts = np.stack([T_view_last, T_view_last @ step])
+            T_view_frame = search_weak_directions(
+                self._aligner, FRAME, view_id, T_view_frame, starts, seed=self._seed
+            )
+            score = self._score(view_id, T_view_frame)
         if view_id == KEYFRAME:
             if np.isnan(self._reference_score):
                 self._reference_score = score
             self._reference_score += FORGETTING * (score - self._reference_score)
-        found = open_directions(self._aligner, FRAME, view_id, T) if OPEN != "none" else None
-        open_axes = NO_AXES
-        if found is not None and found[1].shape[1]:
-            directions, open_axes = found
-            T_keep = T_view_guess
-            if OPEN == "cv":
-                T_keep = se3.inverse(T_odom_view) @ self._T_last @ se3.inverse(self._T_before) @ self._T_last
-            T = directions.keep(open_axes, T, T_keep)
-        if open_axes.shape[1]:
-            open_axes = np.linalg.inv(directions.of_tangent()) @ open_axes
-        return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=open_axes)
+        return T_view_frame
+
+    def _score(self, view_id: int, T_view_frame: Pose) -> float:
+        found = self._aligner.agreement_score(FRAME, np.array([view_id]), T_view_frame[None])
+        return float(found.score[0])
 
     def _search(self, T_guess: Pose) -> _Registration:
         """Align it with the keyframe from poses about the guess, and about the last one known."""

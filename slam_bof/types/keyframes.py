@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from slam_bof.types.depth import SubsampledDepth
 from slam_bof.types.features import Bag, Scene
 from slam_bof.types.loops import Candidate, Loop
-from slam_bof.types.poses import FramePose, Pose
+from slam_bof.types.poses import Array, FramePose, Pose
 
 __all__ = ["Keyframe", "KeyframeRecord", "Step"]
 
@@ -21,7 +23,8 @@ class Keyframe:
     are defined in ``tracking.Track``. ``scene`` is the label of this keyframe alone; ``smoothed``
     also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
     that the keyframe comes from: a map may hold several runs, each with its own frames and
-    odometry.
+    odometry. ``step_covariance`` (6, 6) is that of the step since the keyframe before, rotation
+    first in rad^2 and m^2, and None where the odometry's covariance is not known.
     """
 
     id: int
@@ -33,6 +36,7 @@ class Keyframe:
     segment: int = 0
     smoothed: Scene | None = None
     session: int = 0
+    step_covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +67,9 @@ class Step:
     are the edges that were accepted with this frame, and ``candidates`` are all pairs that were
     considered for them. ``T_map_odom`` corrects the odometry frame (REP 105):
     ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
-    wrong and no better one is known.
+    wrong and no better one is known. ``open_axes`` (6, k) are the directions in which the surfaces
+    in sight hold nothing, as tangents of the camera's pose, rotation first; the pose along them is
+    that of odometry.
     """
 
     keyframe: Keyframe | None
@@ -72,3 +78,11 @@ class Step:
     candidates: tuple[Candidate, ...]
     T_map_odom: Pose
     is_lost: bool = False
+    open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+
+    @property
+    def health(self) -> str:
+        """How the frame was tracked: ``tracked``, ``degenerate`` or ``lost``."""
+        if self.is_lost:
+            return "lost"
+        return "degenerate" if self.open_axes.shape[1] else "tracked"

@@ -17,7 +17,8 @@ class Verification:
     ``overlap`` is the share of the query's points that have a corresponding point in the match,
     and ``rmse_m`` is their point-to-plane error. ``information`` (6, 6) is that of the tangent of
     ``T_match_query``, rotation first (the convention of GTSAM). ``reason`` says in words why
-    ``accepted`` is false.
+    ``accepted`` is false. ``n_open`` is the number of directions that the surfaces leave open;
+    along these there is almost no information.
     """
 
     accepted: bool
@@ -26,6 +27,7 @@ class Verification:
     overlap: float
     rmse_m: float
     information: Array
+    n_open: int = 0
 
 
 class CandidateSource(StrEnum):
@@ -48,6 +50,8 @@ class EdgeKind(StrEnum):
     """A revisit: the two are far apart in time and passed all checks for loops."""
     COVISIBILITY = "covisibility"
     """Two neighbours in time or in the map that see the same surfaces."""
+    PARTIAL = "partial"
+    """Two such neighbours whose surfaces leave directions of the relative pose open."""
 
 
 class Decision(StrEnum):

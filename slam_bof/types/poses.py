@@ -23,7 +23,8 @@ class FramePose:
 
     ``segment`` is the number of the uninterrupted track that the frame belongs to, or ``LOST``
     while odometry was lost. ``T_view_camera`` is the pose of the sensor in the virtual camera that
-    its point cloud was projected into, and None for a depth image.
+    its point cloud was projected into, and None for a depth image. ``step_covariance`` (6, 6), of
+    keyframes alone, is that of the step since the keyframe before, if it is known.
     """
 
     stamp_s: float
@@ -31,6 +32,7 @@ class FramePose:
     T_odom_camera: Pose
     segment: int
     T_view_camera: Pose | None = None
+    step_covariance: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
