@@ -102,7 +102,7 @@ class AlignmentParams(Params):
         "m.",
     )
     min_step: float = Field(
-        5e-4,
+        1e-3,
         ge=0,
         description="Pairs that move by less than this, in rad and m, rest until the last "
         "iterations.",

@@ -95,7 +95,7 @@ class TrackingParams(Params):
         description="The same for a frame whose pose had to be searched for.",
     )
     max_score_drop: float = Field(
-        0.01,
+        0.02,
         ge=0,
         description="Largest drop of the agreement score below its running mean at which no other "
         "starts are tried.",

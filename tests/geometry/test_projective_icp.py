@@ -154,5 +154,5 @@ def test_pairs_that_rest_on_the_way_end_where_restless_ones_do(look, standpoint,
         found.append(aligner.refine(1, np.array([0, 0, 1]), np.stack([far, near, np.eye(4)])))
     for restless, rested in zip(*found, strict=True):
         moved_m, turned_deg = error(rested, restless)
-        assert moved_m < 0.003
+        assert moved_m < 0.004
         assert turned_deg < 0.1

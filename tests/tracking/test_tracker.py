@@ -7,6 +7,7 @@ import pytest
 
 from slam_bof.geometry import se3
 from slam_bof.slam import LoopCloser
+from slam_bof.synthetic import DegenerateCase, render_case
 from slam_bof.tracking import Tracker, TrackingParams
 
 N_FRAMES = 12
@@ -157,3 +158,47 @@ def test_what_nothing_joins_stays_a_part_of_its_own(look, standpoint):
     assert closer.map.n_components == 2
     assert len(trajectory) == 12
     assert np.isfinite(trajectory.poses).all()
+
+
+def errors_m(tracks, poses):
+    truth = se3.inverse(poses[0]) @ poses
+    found = np.array([track.T_odom_camera for track in tracks])
+    return np.linalg.norm((se3.inverse(truth) @ found)[:, :3, 3], axis=1)
+
+
+def walk(scene, covariance=None, odometry=None, rate_hz=10.0):
+    """Track a camera through a degenerate scene beside exact odometry or another."""
+    case = DegenerateCase(scene, sensor="kinect", rate_hz=rate_hz)
+    poses = case.poses()
+    if odometry is None:
+        odometry = se3.inverse(poses[0]) @ poses
+    tracker, tracks = Tracker(), []
+    for k, frame in enumerate(render_case(case)):
+        tracks.append(tracker.track(frame, odometry[k], covariance))
+        if k % 5 == 0:
+            tracker.keep()
+    return tracks, poses
+
+
+def test_exact_odometry_along_a_corridor_stays_exact():
+    tracks, poses = walk("corridor")
+    assert np.mean([track.open_axes.shape[1] >= 1 for track in tracks[1:]]) > 0.9
+    assert errors_m(tracks, poses).max() < 0.02
+
+
+def test_odometry_of_known_covariance_is_corrected_no_further_than_it_may_be_wrong():
+    exact, poses = walk("room", covariance=1e-10 * np.eye(6))
+    assert errors_m(exact, poses).max() < 0.001
+    odometry = se3.inverse(poses[0]) @ poses
+    odometry[:, :3, 3] *= 1.1
+    loose, _ = walk("room", covariance=1e-3 * np.eye(6), odometry=odometry)
+    drift_m = np.linalg.norm(odometry[-1, :3, 3]) / 11.0
+    assert errors_m(loose, poses)[-1] < 0.3 * drift_m
+
+
+def test_along_open_directions_a_step_is_as_uncertain_as_odometry():
+    covariance = np.diag([1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-4])
+    tracks, _ = walk("corridor", covariance=covariance)
+    ahead, aside = tracks[5].step_covariance[5, 5], tracks[5].step_covariance[3, 3]
+    assert ahead == pytest.approx(5e-4, rel=0.2)  # five frames since the keyframe
+    assert aside < 0.1 * ahead
