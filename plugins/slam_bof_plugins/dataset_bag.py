@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.bag_file import BagFile, Topic, bag_kind, find_bag, open_bag
 from slam_bof_plugins.bag_images import decode_depth
@@ -164,7 +165,7 @@ def _camera(
 ) -> Intrinsics:
     height, width = shape
     if params.intrinsics is not None:
-        return Intrinsics(width, height, *params.intrinsics)
+        return checked_intrinsics("dataset.options.intrinsics", width, height, *params.intrinsics)
     name = params.camera_info or _beside(bag, topic, str(first.header.frame_id))
     known = {item.name for item in bag.topics if item.msgtype == CAMERA_INFO}
     info = bag.first(name) if name in known else None
@@ -186,11 +187,8 @@ def _camera(
         K = P[:, :3]
     elif D.any():
         logger.warning("%s: %s: lens distortion is not undone", bag.path, name)
-    if not (K[0, 0] > 0.0 and K[1, 1] > 0.0):
-        raise DatasetError(
-            f"{bag.path}: {name}: found no focal length, expected a calibrated camera"
-        )
-    return Intrinsics(width, height, *(float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return checked_intrinsics(f"{bag.path}: {name}", width, height, fx, fy, cx, cy)
 
 
 def _beside(bag: BagFile, topic: Topic, frame: str) -> str:

@@ -28,8 +28,8 @@ from pydantic import BaseModel, Field, ValidationError
 
 from slam_bof.core import describe_error
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import trajectory
-from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
+from slam_bof.geometry import checked_intrinsics, trajectory
+from slam_bof.types import Array, DepthFrame, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_stamps,
     poses_at,
@@ -56,10 +56,10 @@ class CameraFile(BaseModel):
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
-    fx: float = Field(gt=0, allow_inf_nan=False)
-    fy: float = Field(gt=0, allow_inf_nan=False)
-    cx: float = Field(allow_inf_nan=False)
-    cy: float = Field(allow_inf_nan=False)
+    fx: float
+    fy: float
+    cx: float
+    cy: float
     depth_scale: float | None = Field(None, ge=1, allow_inf_nan=False)
     fps: float = Field(30.0, gt=0, allow_inf_nan=False)
 
@@ -74,8 +74,14 @@ class DepthFolder:
     ) -> None:
         self.folder = folder
         self.sequence = sequence_name(folder)
-        self.intrinsics = Intrinsics(
-            camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+        self.intrinsics = checked_intrinsics(
+            folder / INTRINSICS,
+            camera.width,
+            camera.height,
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
         )
         self._depth_scale = camera.depth_scale
         self._files = tuple(files)

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
+from slam_bof.geometry import checked_intrinsics, se3
 from slam_bof.types import DepthFrame, Intrinsics, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,
@@ -159,7 +159,7 @@ def _read_camera(scene: Path) -> tuple[Intrinsics, float, str]:
     else:
         logger.info("%s: no cam_params.json; taking the camera of NICE-SLAM's renderings", scene)
     width, height, *pinhole = (camera[key] for key in KNOWN_CAMERA)
-    intrinsics = Intrinsics(int(width), int(height), *map(float, pinhole))
+    intrinsics = checked_intrinsics(file, int(width), int(height), *map(float, pinhole))
     return intrinsics, float(camera["scale"]), source
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import trajectory
+from slam_bof.geometry import checked_intrinsics, trajectory
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,
@@ -204,7 +204,7 @@ def _read_groundtruth(folder: Path, stamps_s: Array) -> Trajectory | None:
 
 def _camera(folder: Path, params: TumParams, width: int, height: int) -> Intrinsics:
     if params.intrinsics is not None:
-        return Intrinsics(width, height, *params.intrinsics)
+        return checked_intrinsics("dataset.options.intrinsics", width, height, *params.intrinsics)
     which = params.camera
     match = re.search(r"freiburg([123])", folder.resolve().name)
     if which != "default" and match is None:

@@ -12,11 +12,11 @@ from pathlib import Path
 from slam_bof.core import StageClock, Usage, registry
 from slam_bof.errors import MapError
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
-from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
+from slam_bof.run.folder import as_run_errors, keep_going, link_map, logging_to, make_folder
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
-from slam_bof.scenes import label_map
+from slam_bof.scenes import MapRoom, label_map
 from slam_bof.slam import (
     Config,
     LoopCloser,
@@ -242,7 +242,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         )
     record = _finish(job, store, session, result, used)
     metrics = compute_metrics(record)
-    write_outputs(folder, record, metrics)
+    write_outputs(folder, record, metrics, job.observer.on_warning)
     logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])
     return RunResult(folder, metrics)
 
@@ -253,13 +253,15 @@ def _finish(
     """Label the whole map, finish the session in it, and return the record of the run."""
     dataset, config, closer = job.dataset, job.config, job.closer
     T_map_camera, first = closer.map.backend.poses(), closer.map.first_keyframe
-    smoothed, rooms = label_map(
-        closer.map.keyframes,
-        T_map_camera,
-        config.labels,
-        config.rooms,
-        components=closer.map.components,
-    )
+    smoothed, rooms = [keyframe.smoothed for keyframe in closer.map.keyframes], list[MapRoom]()
+    with keep_going("rooms and smoothed labels", job.observer.on_warning):
+        smoothed, rooms = label_map(
+            closer.map.keyframes,
+            T_map_camera,
+            config.labels,
+            config.rooms,
+            components=closer.map.components,
+        )
     store.finish(
         session.id,
         SessionResult(

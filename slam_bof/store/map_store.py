@@ -210,7 +210,12 @@ class MapStore(MapDatabase):
     def intrinsics(self) -> Intrinsics | None:
         """Return the depth camera that the map was made with, for full images, if known."""
         camera = self.parameters().get("camera")
-        return None if camera is None else Intrinsics(**json.loads(camera))
+        try:
+            return None if camera is None else Intrinsics(**json.loads(camera))
+        except (TypeError, ValueError) as error:
+            raise MapError(
+                f"{self.path}: camera: {error}; found {camera}, expected a camera"
+            ) from error
 
     def sessions(self) -> list[Session]:
         """Return the sessions of the map, in order."""

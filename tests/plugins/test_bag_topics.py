@@ -86,7 +86,7 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
     with writing(tmp_path / "c", "ros1") as (bag, path):
         bag.camera("/camera_info", fx=0)
         bag.image("/depth", time_ns(0), ramp(), "16UC1")
-    assert "/camera_info: found no focal length" in refusal("bag", path)
+    assert "/camera_info: found a focal length fx of 0 px" in refusal("bag", path)
     (tmp_path / "d").mkdir()
     with writing(tmp_path / "d", "ros1") as (bag, path):
         bag.image("/color", time_ns(0), ramp(), "rgb8")

@@ -127,7 +127,10 @@ def test_colour_beside_depth(tmp_path: Path) -> None:
         ("{", "intrinsics.json: found no JSON object ("),
         ("[]", "intrinsics.json: found no JSON object (a list), expected a camera"),
         ('{"width": 32}', "key 'height': found none, expected one"),
-        (json.dumps({**CAMERA, "fx": -1}), "key 'fx': found -1, input should be greater than 0"),
+        (
+            json.dumps({**CAMERA, "fx": -1}),
+            "found a focal length fx of -1 px for an image of 32x24",
+        ),
         (json.dumps({**CAMERA, "depth_scale": 0.001}), "it is units a metre, such as 1000"),
         (json.dumps({**CAMERA, "width": 64}), "found 32x24 pixels, expected 64x24"),
     ],

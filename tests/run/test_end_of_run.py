@@ -1,0 +1,88 @@
+"""What is computed at the end of a run: a failure there leaves the rest of the run whole."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import CAMERA, box_room_depth_mm
+
+from slam_bof.errors import RunError
+from slam_bof.geometry import se3
+from slam_bof.run import run_sequence
+from slam_bof.run.folder import keep_going
+from slam_bof.scenes import LevelledClassifier
+from slam_bof.slam import preset
+from slam_bof.slam.config import override
+from slam_bof.store import MapStore
+from slam_bof.types import DepthFrame, Scene
+
+
+class BoxRoom:
+    """A camera that turns in a box room, 20 frames."""
+
+    name = "box"
+    sequence = "box/turn"
+    intrinsics = CAMERA
+
+    def __len__(self) -> int:
+        return 20
+
+    def frame(self, index: int) -> DepthFrame:
+        T = se3.exp(np.array([0.0, 0.02 * index, 0.0, 0.0, 0.0, 0.0]))
+        return DepthFrame(index / 30, box_room_depth_mm(CAMERA, T), CAMERA)
+
+    def color(self, index: int) -> None: ...
+
+    def gray(self, index: int) -> None: ...
+
+    def groundtruth(self) -> None: ...
+
+    def scenes(self) -> None: ...
+
+
+def run(out: Path) -> Path:
+    config = override(preset("indoor"), ["keyframes.max_gap=3"])
+    return run_sequence(BoxRoom(), config, out).folder
+
+
+def test_labels_that_are_no_numbers_are_no_labels(monkeypatch, tmp_path):
+    label = LevelledClassifier.label
+
+    def fail_at_times(self, frame, **options):
+        scene = label(self, frame, **options)
+        if round(frame.stamp_s * 30) % 2:
+            nothing = np.full(len(scene.classes), np.nan)
+            return Scene(scene.classes[0], np.nan, scene.classes, nothing)
+        return scene
+
+    monkeypatch.setattr(LevelledClassifier, "label", fail_at_times)
+    with MapStore.open(run(tmp_path) / "map.db") as store:
+        assert store.sessions()[0].is_finished
+        scenes = [k.scene for k in store.keyframes()]
+    known = [scene is not None for scene in scenes]
+    assert any(known)
+    assert not all(known)
+    assert all(np.isfinite(scene.probabilities).all() for scene in scenes if scene)
+
+
+def test_a_failure_at_the_end_leaves_everything_else(monkeypatch, tmp_path):
+    def fail(*args, **options):
+        raise IndexError("no such room")
+
+    monkeypatch.setattr("slam_bof.run.run.label_map", fail)
+    monkeypatch.setattr("slam_bof.run.outputs.write_report", fail)
+    folder = run(tmp_path)
+    with MapStore.open(folder / "map.db") as store:
+        assert store.sessions()[0].is_finished
+        assert all(keyframe.smoothed for keyframe in store.keyframes())
+    assert json.loads((folder / "metrics.json").read_text())["n_regions"] == 0
+    assert (folder / "map.ply").exists()
+    log = (folder / "run.log").read_text()
+    for result in ("rooms and smoothed labels", "report.html"):
+        assert f"{result} could not be computed and is left out" in log
+
+
+def test_a_full_disk_is_an_error_still():
+    with pytest.raises(OSError, match="full"), keep_going("map.ply", RunError):
+        raise OSError("full")
