@@ -106,8 +106,12 @@ def register(rgb: NDArray[np.uint8], camera: Intrinsics, depth: Intrinsics) -> N
     return np.asarray(cv2.remap(rgb, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
 
 
-def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield where each line of a text file stands, and its words; not of empty and # lines.
+def read_lines(
+    path: Path, expected: str, *, keep_empty: bool = False
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield where each line of a text file stands, and its words; not of # lines.
+
+    Empty lines are left out as well, unless lines are counted: ``keep_empty``.
 
     Raises
     ------
@@ -126,7 +130,7 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
         )
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
-        if words and not words[0].startswith("#"):
+        if (words or keep_empty) and not line.lstrip().startswith("#"):
             yield f"{path}, line {number}", words
 
 

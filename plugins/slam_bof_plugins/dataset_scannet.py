@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import checked_intrinsics, se3
+from slam_bof.geometry import checked_intrinsics, se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
 from slam_bof_plugins.dataset_files import register, scale_depth, sequence_name
 from slam_bof_plugins.sens_file import SensFile, is_sens, open_sens
@@ -54,7 +54,7 @@ class ScanNet:
         ------
         DatasetError
             If there is none or several, or it is truncated, of another version or without
-            frames; if a pose is neither a pose nor lost.
+            frames.
         """
         files = _sens_files(path)
         if len(files) != 1:
@@ -131,11 +131,14 @@ def _groundtruth(sens: SensFile, stamps_s: Array) -> Trajectory | None:
     poses = sens.poses.copy()
     lost = ~np.isfinite(poses).all(axis=(1, 2))
     poses[lost] = np.nan
+    problems = []
     for index in np.flatnonzero(~lost).tolist():
+        T = poses[index].copy()
         try:
-            se3.check_rigid(poses[index])
+            se3.check_rigid(T)
+            poses[index] = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
         except ValueError as error:
-            raise DatasetError(f"{sens.path}: pose of frame {index}: {error}") from None
-        T = poses[index]
-        poses[index] = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
-    return None if lost.all() else Trajectory(stamps_s, poses)
+            problems.append(f"frame {index}: {error}")
+            poses[index] = np.nan
+    warn_unknown(sens.path, problems, len(poses))
+    return Trajectory(stamps_s, poses) if np.isfinite(poses).any() else None

@@ -113,7 +113,8 @@ class TumRgbd:
         ------
         DatasetError
             If a list is missing or malformed, or its times do not grow; if no listed depth image
-            is there, one is of 8 bits, in colour or of another size; if a pose is no pose.
+            is there, one is of 8 bits, in colour or of another size; if no line of
+            ``groundtruth.txt`` is a pose.
         """
         stamps_s, files = _read_list(path / "depth.txt")
         present = [i for i, file in enumerate(files) if file.is_file()]

@@ -42,6 +42,7 @@ from .trajectory import (
     read_kitti as read_kitti,
     read_tum as read_tum,
     spread_correction as spread_correction,
+    warn_unknown as warn_unknown,
     write_kitti as write_kitti,
     write_tum as write_tum,
 )

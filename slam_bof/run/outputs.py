@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
+
+import numpy as np
 
 from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
@@ -17,6 +20,8 @@ from slam_bof.types import Candidate, Keyframe, Trajectory
 from slam_bof.visualization import ReportData, write_report
 
 __all__ = ["write_outputs", "write_trajectory"]
+
+logger = logging.getLogger(__name__)
 
 
 def write_outputs(
@@ -42,9 +47,18 @@ def write_outputs(
 
 
 def write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
-    """Write a trajectory in the formats of TUM and KITTI."""
+    """Write a trajectory in the formats of TUM and, if all poses are known, of KITTI.
+
+    In KITTI's format the number of a line is that of its frame, so that an unknown pose can
+    neither be left out nor written: tools such as evo do not read NaN.
+    """
     write_tum(folder / f"trajectory_{name}_tum.txt", trajectory)
-    write_kitti(folder / f"trajectory_{name}_kitti.txt", trajectory)
+    unknown = np.isnan(trajectory.poses).any(axis=(1, 2))
+    kitti = folder / f"trajectory_{name}_kitti.txt"
+    if unknown.any():
+        logger.info("%s: not written, %d poses are unknown", kitti.name, unknown.sum())
+    else:
+        write_kitti(kitti, trajectory)
 
 
 def _write_audit_trail(

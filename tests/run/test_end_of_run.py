@@ -8,14 +8,14 @@ import pytest
 from conftest import CAMERA, box_room_depth_mm
 
 from slam_bof.errors import RunError
-from slam_bof.geometry import se3
+from slam_bof.geometry import read_kitti, read_tum, se3
 from slam_bof.run import run_sequence
 from slam_bof.run.folder import keep_going
 from slam_bof.scenes import LevelledClassifier
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
 from slam_bof.store import MapStore
-from slam_bof.types import DepthFrame, Scene
+from slam_bof.types import DepthFrame, Scene, Trajectory
 
 
 class BoxRoom:
@@ -86,3 +86,19 @@ def test_a_failure_at_the_end_leaves_everything_else(monkeypatch, tmp_path):
 def test_a_full_disk_is_an_error_still():
     with pytest.raises(OSError, match="full"), keep_going("map.ply", RunError):
         raise OSError("full")
+
+
+def test_a_true_pose_that_is_unknown_is_in_no_file_for_other_tools(monkeypatch, tmp_path):
+    poses = np.tile(np.eye(4), (20, 1, 1))
+    monkeypatch.setattr(BoxRoom, "groundtruth", lambda self: Trajectory(np.arange(20) / 30, poses))
+    whole = run(tmp_path / "whole")
+    assert len(read_kitti(whole / "trajectory_groundtruth_kitti.txt")) == 20
+    poses[7] = np.nan
+    folder = run(tmp_path / "gap")
+    assert not (folder / "trajectory_groundtruth_kitti.txt").exists()
+    assert len(read_tum(folder / "trajectory_groundtruth_tum.txt")) == 19
+    assert "trajectory_groundtruth_kitti.txt: not written, 1 poses" in (
+        (folder / "run.log").read_text()
+    )
+    for path in folder.glob("trajectory_*.txt"):
+        assert "nan" not in path.read_text()
