@@ -52,6 +52,8 @@ MIN_FOCAL = 0.05
 """Smallest plausible focal length, as a share of the image's size along the same axis."""
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
+SAME_CAMERA = 0.005
+"""Largest relative difference of the intrinsics of one camera, whose focus may move a little."""
 
 Derived = TypeVar("Derived")
 
@@ -130,6 +132,20 @@ class Intrinsics:
                     f"found the principal point at c{axis} = {center:g} px {where}, expected it "
                     f"between {size - high:g} and {high:g} px"
                 )
+
+    def is_close(self, other: Intrinsics) -> bool:
+        """Return whether both are of one camera, whose focus may move a little.
+
+        The sizes are equal, the focal lengths differ by no more than 0.5 %, and the principal
+        points by no more than 0.5 % of the image's size.
+        """
+        return (
+            (self.width, self.height) == (other.width, other.height)
+            and abs(self.fx - other.fx) <= SAME_CAMERA * other.fx
+            and abs(self.fy - other.fy) <= SAME_CAMERA * other.fy
+            and abs(self.cx - other.cx) <= SAME_CAMERA * other.width
+            and abs(self.cy - other.cy) <= SAME_CAMERA * other.height
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -3,8 +3,9 @@
 ROS 1 ``.bag`` files, ROS 2 folders with ``metadata.yaml`` (SQLite or MCAP), and single ``.mcap``
 and ``.db3`` files. Depth is 16UC1 in mm or 32FC1 in m, raw or compressed (see ``bag_images``).
 The depth topic is found by its coding, if there is only one; the camera is the ``camera_info``
-beside it, or else the only one of the same frame. Times are of the messages' headers, or, where
-those do not grow, of their reception. Needs ``pip install slam-bof[bag]``.
+beside it, or else the only one of the same frame. Times and order are those of the messages'
+headers, without images whose stamp is broken or repeats another; where many stamps are broken,
+those of their reception. Needs ``pip install slam-bof[bag]``.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.bag_file import BagFile, Topic, bag_kind, find_bag, open_bag
 from slam_bof_plugins.bag_images import decode_depth
 from slam_bof_plugins.bag_poses import recorded_poses
+from slam_bof_plugins.bag_times import order_by_stamp
 from slam_bof_plugins.bag_topics import OPTION, find_depth_topic
-from slam_bof_plugins.dataset_files import check_stamps, sequence_name
+from slam_bof_plugins.dataset_files import sequence_name
 
 __all__ = ["BagParams", "RosBag"]
 
@@ -74,7 +76,7 @@ class RosBag:
         self._bag = bag
         self._topic = topic
         self._received, stamped = bag.times(topic.name)
-        self._stamps_s = _times(bag, topic, self._received, stamped)
+        self._order, self._stamps_s = _times(bag, topic, self._received, stamped)
         first = bag.first(topic.name)
         shape = decode_depth(first, topic.msgtype, self._where(0)).shape
         self.intrinsics = _camera(bag, topic, first, shape, params)
@@ -122,12 +124,13 @@ class RosBag:
     def frame(self, index: int) -> DepthFrame:
         """Read a frame: uint16 mm of 16UC1, float32 m of 32FC1."""
         index = range(len(self))[index]
-        message = self._bag.message(self._topic.name, index, self._received)
-        depth = decode_depth(message, self._topic.msgtype, self._where(index))
+        number = int(self._order[index])
+        message = self._bag.message(self._topic.name, number, self._received)
+        depth = decode_depth(message, self._topic.msgtype, self._where(number))
         expected = (self.intrinsics.height, self.intrinsics.width)
         if depth.shape != expected:
             raise DatasetError(
-                f"{self._where(index)}: found {depth.shape[1]}x{depth.shape[0]} pixels, "
+                f"{self._where(number)}: found {depth.shape[1]}x{depth.shape[0]} pixels, "
                 f"expected {expected[1]}x{expected[0]}"
             )
         return DepthFrame(float(self._stamps_s[index]), depth, self.intrinsics)
@@ -151,13 +154,30 @@ class RosBag:
 
 def _times(
     bag: BagFile, topic: Topic, received: NDArray[np.int64], stamped: NDArray[np.int64]
-) -> Array:
-    if (np.diff(stamped) > 0).all():
-        return np.asarray(stamped * 1e-9, np.float64)
-    logger.warning("%s: %s: stamps do not grow; taking times of reception", bag.path, topic.name)
-    stamps_s: Array = np.asarray(received * 1e-9, np.float64)
-    check_stamps(stamps_s, bag.path)
-    return stamps_s
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the order of the images (N,) and their times (N,) in seconds."""
+    where = f"{bag.path}: {topic.name}"
+    times, order = stamped, order_by_stamp(stamped, received)
+    if order is None:
+        logger.warning("%s: stamps do not grow; taking times of reception", where)
+        times, order = received, order_by_stamp(received, received)
+    if order is None:
+        raise DatasetError(
+            f"{where}: found the same time for many of {len(received)} images, "
+            "expected times that grow"
+        )
+    if len(order) < len(stamped):
+        missing = np.setdiff1d(np.arange(len(stamped)), order)
+        logger.warning(
+            "%s: %d of %d images have a broken or repeated time and are left out, the first: "
+            "image %d at %.3f s",
+            where,
+            len(missing),
+            len(stamped),
+            missing[0],
+            times[missing[0]] * 1e-9,
+        )
+    return order, np.asarray(times[order] * 1e-9, np.float64)
 
 
 def _camera(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -116,10 +116,11 @@ class MapLocalizer:
         DatasetError
             If the frame's camera is not the map's.
         """
-        if frame.intrinsics != self.intrinsics:
+        if not frame.intrinsics.is_close(self.intrinsics):
             raise DatasetError(
                 f"found a frame of {frame.intrinsics}, expected the map's camera, {self.intrinsics}"
             )
+        frame = replace(frame, intrinsics=self.intrinsics)
         localization = self._localizer.localize(frame)
         scene = None if self._labeller is None else self._labeller.label(frame)
         if localization.keyframe_id is None:

@@ -314,7 +314,7 @@ def _check_ready(store: MapStore, dataset: Dataset, model: str, *, is_new: bool 
             "all sessions of a map use one model"
         )
     camera = store.intrinsics()
-    if camera not in (None, dataset.intrinsics):
+    if camera is not None and not camera.is_close(dataset.intrinsics):
         raise MapError(
             f"{store.path}: found {camera}, expected {dataset.intrinsics}, the camera of "
             f"{dataset.sequence}: all sessions of a map use one camera"

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
+from slam_bof.errors import FrameError
 from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
 from slam_bof.slam.config import Config, load, preset
 from slam_bof.slam.frame_history import FrameHistory
@@ -29,6 +30,9 @@ from slam_bof.types import (
 )
 
 __all__ = ["Journal", "LoopCloser"]
+
+MAX_JUMP_S = 86_400.0
+"""A stamp farther ahead of the last than this is broken, unless the next frame confirms it."""
 
 Journal = Callable[[KeyframeRecord], None]
 """Called with the record of each new keyframe to save it, such as ``MapWriter.write``."""
@@ -64,6 +68,7 @@ class LoopCloser:
         self._selector = selector
         self._clock = clock or StageClock()
         self._camera: Intrinsics | None = None
+        self._refused_stamp_s = -np.inf
         self._cloud_camera = CloudCamera(gravity_odom)
 
     @classmethod
@@ -98,12 +103,16 @@ class LoopCloser:
     def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
         """Process a frame and its odometry pose (4, 4); return the correction by the map.
 
+        Intrinsics that vary a little from frame to frame, as with autofocus, count as those of the
+        first frame; see ``Intrinsics.is_close``.
+
         Raises
         ------
-        ValueError
-            If the time stamp does not increase, the camera differs from that of the frames before,
-            or the pose is not a finite rigid transform. Such a frame is ignored, and the next call
-            may continue.
+        FrameError
+            If the time stamp does not increase, or is more than a day ahead of the frame before;
+            if the camera differs from that of the frames before; or if the pose is not a finite
+            rigid transform. It is a ``ValueError`` too. Such a frame is ignored, and the next call
+            may continue. A jump of the clock is accepted with the next frame that confirms it.
         """
         return self._process(frame, T_odom_camera)
 
@@ -127,8 +136,10 @@ class LoopCloser:
 
         Raises
         ------
+        FrameError
+            In the cases of ``process``.
         ValueError
-            In the cases of ``process``, or if the points are not (N, 3).
+            If the points are not (N, 3).
         """
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         has_camera = self._camera is not None
@@ -220,18 +231,18 @@ class LoopCloser:
         self, frame: DepthFrame, T_odom_camera: Pose, T_view_camera: Pose | None = None
     ) -> Step:
         frame_index = len(self.history)
-        last_s = self.history.last_stamp_s
-        if not last_s < frame.stamp_s < np.inf:
-            raise ValueError(f"time stamps must increase, got {frame.stamp_s} s after {last_s} s")
+        self._check_stamp(frame.stamp_s)
         camera = self._camera or frame.intrinsics
+        if not frame.intrinsics.is_close(camera):
+            raise FrameError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
         if frame.intrinsics != camera:
-            raise ValueError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
+            frame = replace(frame, intrinsics=camera)
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         try:
             se3.check_rigid(T_odom_camera)
         except ValueError as error:
             place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
-            raise ValueError(f"{place}: {error}") from None
+            raise FrameError(f"{place}: {error}") from None
         self._camera = camera
         frame = quantize_depth(frame)
         with self._clock.stage("track"):
@@ -254,6 +265,18 @@ class LoopCloser:
             step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
         T_map_camera = self._map.T_map_track @ track.T_odom_camera
         return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
+
+    def _check_stamp(self, stamp_s: float) -> None:
+        """Refuse a stamp that does not increase, or a jump that no frame before confirms."""
+        last_s, refused_s = self.history.last_stamp_s, self._refused_stamp_s
+        if not last_s < stamp_s < np.inf:
+            raise FrameError(f"time stamps must increase, got {stamp_s} s after {last_s} s")
+        is_confirmed = 0.0 < stamp_s - refused_s <= MAX_JUMP_S
+        if last_s > -np.inf and stamp_s - last_s > MAX_JUMP_S and not is_confirmed:
+            self._refused_stamp_s = stamp_s
+            raise FrameError(
+                f"time stamps must be in seconds, got {stamp_s} s more than a day after {last_s} s"
+            )
 
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.core import StageClock
-from slam_bof.errors import DatasetError
+from slam_bof.errors import DatasetError, FrameError
 from slam_bof.geometry import se3
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.slam.loop_closer import LoopCloser
@@ -74,7 +74,7 @@ class MiniSlam:
         self._clock = clock or StageClock()
 
     def run(self, dataset: Dataset, *, max_frames: int | None = None) -> SlamResult:
-        """Process the sequence; a frame that cannot be read is skipped with a warning.
+        """Process the sequence; a frame that cannot be read or used is skipped with a warning.
 
         Frames that the loop closer has restored from an interrupted run are processed by the
         odometry alone.
@@ -98,14 +98,18 @@ class MiniSlam:
                 continue
             with self._clock.stage("odometry"):
                 T_odom_camera = self._odometry.process(frame)
+            try:
+                if len(poses) < len(restored):
+                    before = restored[len(poses)]
+                    _check_same(dataset, index, frame, T_odom_camera, before)
+                    step = Step(None, None, (), (), np.eye(4), is_lost=before.segment < 0)
+                else:
+                    step = self._closer.process(frame, T_odom_camera)
+            except FrameError as error:
+                self._observer.on_warning(f"frame {index} skipped: {error}")
+                continue
             indices.append(index)
             poses.append(T_odom_camera)
-            if len(poses) <= len(restored):
-                before = restored[len(poses) - 1]
-                _check_same(dataset, index, frame, T_odom_camera, before)
-                step = Step(None, None, (), (), np.eye(4), is_lost=before.segment < 0)
-            else:
-                step = self._closer.process(frame, T_odom_camera)
             self._observer.on_step(index, step)
         if len(poses) < len(restored):
             raise DatasetError(

@@ -339,12 +339,11 @@ class MapStore(MapDatabase):
 
     def _keep_constant(self, db: sqlite3.Connection, key: str, value: object) -> None:
         """Save a parameter that all keyframes share; ``ValueError`` if its value differs."""
-        text = json.dumps(value)
         row = db.execute("SELECT value FROM parameters WHERE key = ?", (key,)).fetchone()
         if row is None:
-            _set(db, key, text)
-        elif row["value"] != text:
-            raise ValueError(f"{self.path}: {key} must stay {row['value']}, got {text}")
+            _set(db, key, json.dumps(value))
+        elif json.loads(row["value"]) != value:
+            raise ValueError(f"{self.path}: {key} must stay {row['value']}, got {value}")
 
 
 def _key_of(loop: Loop) -> tuple[int, int, CandidateSource]:
