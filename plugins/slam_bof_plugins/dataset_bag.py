@@ -1,9 +1,10 @@
 """ROS bags: depth images of one topic with their CameraInfo, and poses if wished.
 
 ROS 1 ``.bag`` files, ROS 2 folders with ``metadata.yaml`` (SQLite or MCAP), and single ``.mcap``
-and ``.db3`` files. Depth is 16UC1 in mm or 32FC1 in m, raw or compressed (see ``bag_images``).
-The depth topic is found by its coding, if there is only one; the camera is the ``camera_info``
-beside it, or else the only one of the same frame. Times and order are those of the messages'
+and ``.db3`` files. Depth is 16UC1 in mm or 32FC1 in m, raw or compressed (see ``bag_images``),
+unless a RealSense bag or the option ``depth_scale`` states another unit. The depth topic is found
+by its coding, if there is only one; the camera is the ``camera_info`` beside it, or else the only
+one of the same frame. Times and order are those of the messages'
 headers, without images whose stamp is broken or repeats another; where many stamps are broken,
 those of their reception. Needs ``pip install slam-bof[bag]``.
 """
@@ -25,8 +26,8 @@ from slam_bof_plugins.bag_file import BagFile, Topic, bag_kind, find_bag, open_b
 from slam_bof_plugins.bag_images import decode_depth
 from slam_bof_plugins.bag_poses import recorded_poses
 from slam_bof_plugins.bag_times import order_by_stamp
-from slam_bof_plugins.bag_topics import OPTION, find_depth_topic
-from slam_bof_plugins.dataset_files import sequence_name
+from slam_bof_plugins.bag_topics import OPTION, find_depth_topic, stated_units
+from slam_bof_plugins.dataset_files import scale_depth, sequence_name
 
 __all__ = ["BagParams", "RosBag"]
 
@@ -48,6 +49,13 @@ class BagParams(Params):
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="Intrinsics fx, fy, cx, cy in pixels, used instead of a camera_info."
+    )
+    depth_scale: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="Units of depth per metre; by default those that a RealSense bag states, or "
+        "else 1000 for integers and 1 for floats.",
     )
     groundtruth: str | None = Field(
         None,
@@ -76,6 +84,7 @@ class RosBag:
         self._bag = bag
         self._topic = topic
         self._received, stamped = bag.times(topic.name)
+        self._units_per_m = params.depth_scale or stated_units(bag, topic)
         self._order, self._stamps_s = _times(bag, topic, self._received, stamped)
         first = bag.first(topic.name)
         shape = decode_depth(first, topic.msgtype, self._where(0)).shape
@@ -122,7 +131,7 @@ class RosBag:
         return len(self._stamps_s)
 
     def frame(self, index: int) -> DepthFrame:
-        """Read a frame: uint16 mm of 16UC1, float32 m of 32FC1."""
+        """Read a frame: uint16 mm of 16UC1, float32 m of 32FC1 and of other units."""
         index = range(len(self))[index]
         number = int(self._order[index])
         message = self._bag.message(self._topic.name, number, self._received)
@@ -133,6 +142,9 @@ class RosBag:
                 f"{self._where(number)}: found {depth.shape[1]}x{depth.shape[0]} pixels, "
                 f"expected {expected[1]}x{expected[0]}"
             )
+        if self._units_per_m is not None:
+            is_integer = depth.dtype == np.uint16
+            depth = (scale_depth if is_integer else np.divide)(depth, self._units_per_m)
         return DepthFrame(float(self._stamps_s[index]), depth, self.intrinsics)
 
     def color(self, index: int) -> None:

@@ -20,6 +20,7 @@ from .labelled_frames import (
     read_split as read_split,
     sequence_names as sequence_names,
 )
+from .plausibility import find_doubts as find_doubts
 from .realsense import (
     RealSense as RealSense,
 )

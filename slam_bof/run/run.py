@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry
+from slam_bof.datasets import find_doubts
 from slam_bof.errors import MapError
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.run.folder import as_run_errors, keep_going, link_map, logging_to, make_folder
@@ -224,6 +225,9 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     """Run a session to its end, from its start or its last saved keyframe, and write its files."""
     closer = job.closer
     started = Usage.now()
+    doubts = find_doubts(job.dataset)
+    for doubt in doubts:
+        job.observer.on_warning(doubt)
     with MapWriter(store) as writer:
         _restore(closer, store, session, is_new=is_new)
         closer.journal = writer.write
@@ -236,9 +240,11 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     write_trajectory(folder, "optimized", result.optimized)
     used = Usage.now() - started
     if closer.n_frames_lost > MAX_LOST_RATIO * len(result.indices):
+        reason = "too little depth, or too little overlap with earlier frames"
+        if doubts:
+            reason = "probably for the reason that the warning at the start of the run gives"
         job.observer.on_warning(
-            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little depth, "
-            "or too little overlap with earlier frames"
+            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
         )
     record = _finish(job, store, session, result, used)
     metrics = compute_metrics(record)

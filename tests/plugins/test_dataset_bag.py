@@ -73,6 +73,32 @@ def test_images_received_at_once_are_told_apart(tmp_path: Path, form: str) -> No
         np.testing.assert_array_equal(dataset.frame(number).depth, ramp(number))
 
 
+@pytest.mark.parametrize(
+    ("spelling", "unit_m"), [("Depth Units", 0.00025), ("Depth_Units", 0.0001)]
+)
+def test_a_realsense_bag_states_its_unit(tmp_path: Path, spelling: str, unit_m: float) -> None:
+    topic = "/device_0/sensor_0/Depth_0/image/data"
+    with writing(tmp_path, "ros1") as (bag, path):
+        for sensor, value in ((0, unit_m), (1, 1.0)):  # the colour camera has such an option too
+            option = f"/device_0/sensor_{sensor}/option/{spelling}/value"
+            bag.write(option, time_ns(0), bag.make("std_msgs/msg/Float32", data=value))
+        bag.camera("/device_0/sensor_0/Depth_0/info/camera_info")
+        bag.image(topic, time_ns(0), ramp(), "mono16")
+    dataset = registry.open_dataset(path)
+    np.testing.assert_allclose(dataset.frame(0).depth_m(), ramp() * unit_m, rtol=1e-6)
+    other = registry.open_dataset(path, "bag", {"depth_scale": 2000})
+    np.testing.assert_allclose(other.frame(0).depth_m(), ramp() / 2000, rtol=1e-6)
+
+
+def test_floats_in_millimetres_are_scaled_by_an_option(tmp_path: Path) -> None:
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.image(TOPIC, time_ns(0), ramp().astype(np.float32), "32FC1")
+    assert registry.open_dataset(path).frame(0).depth_m().max() > 1000
+    frame = registry.open_dataset(path, "bag", {"depth_scale": 1000}).frame(0)
+    np.testing.assert_allclose(frame.depth_m(), ramp() / 1000, rtol=1e-6)
+
+
 # Damage
 
 

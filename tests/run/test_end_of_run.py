@@ -1,6 +1,7 @@
 """What is computed at the end of a run: a failure there leaves the rest of the run whole."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,6 +45,20 @@ class BoxRoom:
 def run(out: Path) -> Path:
     config = override(preset("indoor"), ["keyframes.max_gap=3"])
     return run_sequence(BoxRoom(), config, out).folder
+
+
+def test_depth_in_another_unit_is_the_reason_for_lost_frames(monkeypatch, tmp_path):
+    frame = BoxRoom.frame
+
+    def in_tenths_of_a_millimetre(self, index):
+        found = frame(self, index)
+        return replace(found, depth=found.depth.astype(np.float32) / 100)
+
+    monkeypatch.setattr(BoxRoom, "frame", in_tenths_of_a_millimetre)
+    log = (run(tmp_path) / "run.log").read_text()
+    assert "divided by 10 (units of 0.1 mm, as of RealSense D405)" in log
+    assert "20 of 20 frames are lost: probably for the reason that the warning at the start" in log
+    assert "too little depth" not in log
 
 
 def test_labels_that_are_no_numbers_are_no_labels(monkeypatch, tmp_path):
