@@ -144,7 +144,7 @@ class SevenScenes:
         if not file.is_file():
             return None
         try:
-            with file.open(newline="", encoding="utf-8") as lines:
+            with file.open(newline="", encoding="utf-8-sig") as lines:
                 labels = {int(row["frame"]): row["scene"] for row in csv.DictReader(lines)}
             return tuple(labels[number] for number in self._numbers)
         except (KeyError, TypeError, ValueError) as error:
@@ -205,7 +205,7 @@ def _read_pose(file: Path) -> Pose:
     ``ValueError`` if the file does not hold a pose: recorders write NaN, zeros or nothing, or
     ``-1.#INF``, where they lost track.
     """
-    values = [float(word) for word in file.read_text(encoding="utf-8").split()]
+    values = [float(word) for word in file.read_text(encoding="utf-8-sig").split()]
     if len(values) != 16:
         raise ValueError(f"found {len(values)} numbers, expected 16: a pose")
     T = np.array(values).reshape(4, 4)

@@ -119,7 +119,7 @@ def read_lines(
         If the file cannot be read or is no text; the message ends with ``expected``.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise DatasetError(f"{path}: found no such file, expected {expected}") from None
     except UnicodeDecodeError:

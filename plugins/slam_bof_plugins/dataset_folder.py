@@ -170,7 +170,7 @@ def _stem(file: Path) -> str:
 
 def _read_camera(file: Path) -> CameraFile:
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = json.loads(file.read_text(encoding="utf-8-sig"))
         if not isinstance(values, dict):
             raise ValueError(f"a {type(values).__name__}")
         return CameraFile.model_validate(values)

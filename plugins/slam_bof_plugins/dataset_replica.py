@@ -170,7 +170,7 @@ def _read_camera(scene: Path) -> tuple[Intrinsics, float, str]:
 def _read_json(file: Path) -> dict[str, Any]:
     expected = f"a camera with positive numbers {', '.join(KNOWN_CAMERA)}, scale"
     try:
-        camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["camera"]
+        camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8-sig"))["camera"]
         if not all(float(camera[key]) > 0.0 for key in (*KNOWN_CAMERA, "scale")):
             raise ValueError("a number that is not positive")
     except KeyError as error:

@@ -217,7 +217,7 @@ def _read_split(file: Path, images: Path) -> Iterator[tuple[Path, bool]]:
 
 def _read_scene(file: Path) -> str:
     try:
-        scene = file.read_text(encoding="utf-8").strip()
+        scene = file.read_text(encoding="utf-8-sig").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{file}: {error}, expected the name of a scene") from error
     if not scene or len(scene.split()) != 1:
@@ -242,7 +242,7 @@ def _only(folder: Path, suffix: str) -> Path | None:
 
 def _read_camera(file: Path, size: tuple[int, int]) -> Intrinsics:
     try:
-        K = np.array([float(word) for word in file.read_text(encoding="utf-8").split()])
+        K = np.array([float(word) for word in file.read_text(encoding="utf-8-sig").split()])
     except (OSError, ValueError) as error:
         raise DatasetError(f"{file}: {error}, expected 9 numbers: intrinsics") from error
     if K.shape != (9,):

@@ -153,7 +153,7 @@ def _read(path: Path) -> NDArray[Any]:
 
 def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None]:
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = json.loads(file.read_text(encoding="utf-8-sig"))
         size = int(found["width"]), int(found["height"])
         fx, fy, cx, cy = (float(found[name]) for name in ("fx", "fy", "cx", "cy"))
         scale = found.get("depth_scale")

@@ -220,7 +220,7 @@ def _rows(path: Path, n_numbers: int, meaning: str) -> Iterator[tuple[str, Array
 
 def _lines(path: Path) -> Iterable[str]:
     try:
-        return Path(path).read_text(encoding="utf-8").splitlines()
+        return Path(path).read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise DatasetError(f"{path}: found binary data, expected a text file of poses") from None
     except OSError as error:

@@ -31,7 +31,10 @@ logger = logging.getLogger(__name__)
 
 
 def make_folder(out: Path) -> Path:
-    """Create ``out``/<time stamp> and let the link ``out``/latest point to it."""
+    """Create ``out``/<time stamp> and let the link ``out``/latest point to it.
+
+    File systems without symbolic links (exFAT, many network shares) are without ``latest``.
+    """
     name = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     with as_run_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -40,10 +43,14 @@ def make_folder(out: Path) -> Path:
             if not folder.exists():
                 break
         folder.mkdir()
-        link = out / ".latest"
+    link = out / ".latest"
+    try:
         link.unlink(missing_ok=True)
         link.symlink_to(folder.name, target_is_directory=True)
         link.replace(out / "latest")
+    except OSError as error:
+        link.unlink(missing_ok=True)
+        logger.warning("%s: cannot be linked to %s: %s", out / "latest", folder.name, error)
     return folder
 
 
@@ -92,9 +99,12 @@ def logging_to(path: Path) -> Iterator[None]:
 
 
 def link_map(folder: Path, map_file: Path) -> None:
-    """Create the link ``map.db`` in a run's folder to a map elsewhere."""
+    """Create the link ``map.db`` in a run's folder to a map elsewhere, if that is possible."""
     target = os.path.relpath(map_file.resolve(), folder.resolve())
-    (folder / "map.db").symlink_to(target)
+    try:
+        (folder / "map.db").symlink_to(target)
+    except OSError as error:
+        logger.warning("%s: cannot be linked to %s: %s", folder / "map.db", target, error)
 
 
 def read_run(folder: Path) -> ReportData:

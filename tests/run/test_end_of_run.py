@@ -1,6 +1,8 @@
 """What is computed at the end of a run: a failure there leaves the rest of the run whole."""
 
+import errno
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from conftest import CAMERA, box_room_depth_mm
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_kitti, read_tum, se3
 from slam_bof.run import run_sequence
-from slam_bof.run.folder import keep_going
+from slam_bof.run.folder import keep_going, link_map, make_folder
 from slam_bof.scenes import LevelledClassifier
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
@@ -117,3 +119,29 @@ def test_a_true_pose_that_is_unknown_is_in_no_file_for_other_tools(monkeypatch, 
     )
     for path in folder.glob("trajectory_*.txt"):
         assert "nan" not in path.read_text()
+
+
+@pytest.fixture
+def no_symlinks(monkeypatch):
+    def refuse(*args, **options):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "symlink", refuse)
+
+
+def test_a_file_system_without_links_is_without_latest(no_symlinks, tmp_path, caplog):
+    folder = make_folder(tmp_path / "runs")
+    assert [path.name for path in (tmp_path / "runs").iterdir()] == [folder.name]
+    link_map(folder, tmp_path / "home.db")
+    assert list(folder.iterdir()) == []
+    assert "latest: cannot be linked to" in caplog.text
+    assert "map.db: cannot be linked to" in caplog.text
+
+
+def test_a_folder_named_latest_stays(tmp_path, caplog):
+    (tmp_path / "latest").mkdir()
+    (tmp_path / "latest" / "mine.txt").touch()
+    folder = make_folder(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"latest", folder.name}
+    assert (tmp_path / "latest" / "mine.txt").exists()
+    assert "latest: cannot be linked to" in caplog.text
