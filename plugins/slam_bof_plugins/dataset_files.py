@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
+from slam_bof.geometry import read_tum, se3
 from slam_bof.types import INVALID_DEPTH_MM, Array, Intrinsics, Trajectory
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 
@@ -22,6 +22,7 @@ __all__ = [
     "nearest",
     "poses_at",
     "read_gray",
+    "read_groundtruth",
     "read_lines",
     "read_rgb",
     "register",
@@ -188,6 +189,31 @@ def poses_at(trajectory: Trajectory, stamps_s: Array, max_gap_s: float) -> Traje
         fraction = (stamps_s[known] - times[b]) / span
         poses[known] = se3.interpolate(trajectory.poses[b], trajectory.poses[a], fraction[:, None])
     return Trajectory(stamps_s, poses)
+
+
+def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajectory | None:
+    """Return the true pose of each frame by a file in TUM format, with a warning for unknown ones.
+
+    None if there is no such file, or it fits no frame.
+    """
+    if not path.is_file():
+        return None
+    recorded = read_tum(path)
+    found = poses_at(recorded, stamps_s, max_gap_s)
+    n_unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
+    if n_unknown:
+        times = (
+            f" (poses from {recorded.stamps_s[0]:.3f} to {recorded.stamps_s[-1]:.3f} s, frames "
+            f"from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s)"
+        )
+        logger.warning(
+            "%s: no pose near %d of %d frames%s",
+            path,
+            n_unknown,
+            len(stamps_s),
+            times if n_unknown == len(stamps_s) and len(recorded) else "",
+        )
+    return found if n_unknown < len(stamps_s) else None
 
 
 def _read_image(path: Path | None, flags: int) -> NDArray[np.uint8] | None:

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import checked_intrinsics, trajectory
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,
     check_stamps,
     nearest,
-    poses_at,
     read_gray,
+    read_groundtruth,
     read_lines,
     read_rgb,
     scale_depth,
@@ -93,7 +93,7 @@ class TumRgbd:
         self._stamps_s = stamps_s
         self._files = tuple(files)
         self._colors = _match_colors(folder, stamps_s)
-        self._groundtruth = _read_groundtruth(folder, stamps_s)
+        self._groundtruth = read_groundtruth(folder / "groundtruth.txt", stamps_s, MAX_GAP_S)
 
     @classmethod
     def recognises(cls, path: Path) -> str:
@@ -190,17 +190,6 @@ def _match_colors(folder: Path, stamps_s: Array) -> tuple[Path | None, ...]:
     color_stamps_s, files = _read_list(folder / "rgb.txt")
     matches = nearest(color_stamps_s, stamps_s, COLOR_TOLERANCE_S)
     return tuple(files[i] if i >= 0 else None for i in matches.tolist())
-
-
-def _read_groundtruth(folder: Path, stamps_s: Array) -> Trajectory | None:
-    file = folder / "groundtruth.txt"
-    if not file.is_file():
-        return None
-    found = poses_at(trajectory.read_tum(file), stamps_s, MAX_GAP_S)
-    unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
-    if unknown:
-        logger.warning("%s: no pose near %d of %d frames", file, unknown, len(stamps_s))
-    return found if unknown < len(stamps_s) else None
 
 
 def _camera(folder: Path, params: TumParams, width: int, height: int) -> Intrinsics:
