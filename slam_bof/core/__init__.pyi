@@ -3,6 +3,7 @@ from .arrays import (
     GrowingArray as GrowingArray,
     thread_buffer as thread_buffer,
 )
+from .failures import keep_going as keep_going
 from .native_libraries import (
     import_open3d as import_open3d,
     one_blas_thread as one_blas_thread,

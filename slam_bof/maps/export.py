@@ -157,7 +157,7 @@ def _graph_edges(store: MapStore, keyframes: Sequence[Keyframe]) -> Iterator[Gra
 def _interrupted(store: MapStore) -> MapError:
     return MapError(
         f"{store.path}: found an interrupted run without optimised poses, expected a finished "
-        "one: resume it first"
+        f"one: resume it, or slam-bof map finish {store.path}"
     )
 
 

@@ -84,7 +84,7 @@ class MapLocalizer:
             if not np.isfinite(T_map_camera).all():
                 raise MapError(
                     f"{path}: found an interrupted run of {sessions[-1].sequence}, "
-                    "expected a finished one: resume it first"
+                    f"expected a finished one: resume it, or slam-bof map finish {path}"
                 )
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
             model = models.resolve(config.model)

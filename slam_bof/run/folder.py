@@ -6,7 +6,7 @@ import itertools
 import json
 import logging
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
@@ -20,7 +20,6 @@ from slam_bof.visualization import ReportData
 
 __all__ = [
     "as_run_errors",
-    "keep_going",
     "link_map",
     "logging_to",
     "make_folder",
@@ -63,22 +62,6 @@ def as_run_errors(folder: Path) -> Iterator[None]:
         path = error.filename or folder
         reason = error.strerror or str(error)
         raise RunError(f"{path}: cannot write the run: {reason}") from error
-
-
-@contextmanager
-def keep_going(result: str, warn: Callable[[str], None]) -> Iterator[None]:
-    """Warn instead of failing where a result cannot be computed that the rest does not need.
-
-    The run behind it may have taken hours. The traceback goes to the log; errors of the file
-    system are raised.
-    """
-    try:
-        yield
-    except OSError:
-        raise
-    except Exception as error:
-        logger.exception(result)
-        warn(f"{result} could not be computed and is left out ({error!r}); see run.log")
 
 
 @contextmanager

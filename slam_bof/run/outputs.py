@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from slam_bof.core import keep_going
 from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
-from slam_bof.run.folder import keep_going
 from slam_bof.run.metrics import Metrics
 from slam_bof.run.record import RunRecord
 from slam_bof.types import Candidate, Keyframe, Trajectory

@@ -12,12 +12,12 @@ from pathlib import Path
 from slam_bof.core import StageClock, Usage, registry
 from slam_bof.datasets import find_doubts
 from slam_bof.errors import MapError
+from slam_bof.maps import check_session, finish_session, restore_session
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
-from slam_bof.run.folder import as_run_errors, keep_going, link_map, logging_to, make_folder
+from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
-from slam_bof.scenes import MapRoom, label_map
 from slam_bof.slam import (
     Config,
     LoopCloser,
@@ -26,12 +26,11 @@ from slam_bof.slam import (
     config as configs,
     of_session,
 )
-from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
+from slam_bof.store import MapStore, MapWriter, Session
 from slam_bof.types import Step
 
 __all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
 
-LEFT_OUT_REASON = "inconsistent with the other loops in the final optimisation"
 MAX_LOST_RATIO = 0.1
 """Share of lost frames above which a run warns."""
 
@@ -129,7 +128,7 @@ def run_sequence(
                 MapStore.open(map_file, read_only=False) if is_there else MapStore.create(map_file)
             )
             stack.enter_context(store)
-            _check_ready(store, dataset, job.closer.map.model_hash)
+            _check_ready(store, dataset, job.closer)
         folder = make_folder(out)
         stack.enter_context(as_run_errors(folder))
         stack.enter_context(logging_to(folder / "run.log"))
@@ -186,7 +185,7 @@ def resume_sequence(
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
-        _check_ready(store, dataset, job.closer.map.model_hash, is_new=False)
+        _check_ready(store, dataset, job.closer, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
         with as_run_errors(folder), logging_to(folder / "run.log"):
@@ -229,7 +228,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     for doubt in doubts:
         job.observer.on_warning(doubt)
     with MapWriter(store) as writer:
-        _restore(closer, store, session, is_new=is_new)
+        restore_session(closer, store, session, is_new=is_new)
         closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
         try:
@@ -258,27 +257,8 @@ def _finish(
 ) -> RunRecord:
     """Label the whole map, finish the session in it, and return the record of the run."""
     dataset, config, closer = job.dataset, job.config, job.closer
-    T_map_camera, first = closer.map.backend.poses(), closer.map.first_keyframe
-    smoothed, rooms = [keyframe.smoothed for keyframe in closer.map.keyframes], list[MapRoom]()
-    with keep_going("rooms and smoothed labels", job.observer.on_warning):
-        smoothed, rooms = label_map(
-            closer.map.keyframes,
-            T_map_camera,
-            config.labels,
-            config.rooms,
-            components=closer.map.components,
-        )
-    store.finish(
-        session.id,
-        SessionResult(
-            frames=closer.frames_since_keyframe,
-            T_map_camera=T_map_camera,
-            smoothed=smoothed,
-            regions=rooms,
-            left_out=closer.map.loops_left_out,
-            reason=LEFT_OUT_REASON,
-        ),
-    )
+    first = closer.map.first_keyframe
+    smoothed, rooms = finish_session(closer, store, session, config, warn=job.observer.on_warning)
     scenes = dataset.scenes()
     frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
     return RunRecord(
@@ -296,35 +276,17 @@ def _finish(
     )
 
 
-def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
-    """Restore the closer from the map; begin the session in both if it is new."""
-    closer.restore(replay_keyframes(store, reopened_session=None if is_new else session.id))
-    while closer.map.session < session.id:
-        closer.begin_session()
-    if is_new:
-        store.set_parameters({"model": closer.map.model_hash})
-        store.begin_session(session)
-
-
-def _check_ready(store: MapStore, dataset: Dataset, model: str, *, is_new: bool = True) -> None:
+def _check_ready(
+    store: MapStore, dataset: Dataset, closer: LoopCloser, *, is_new: bool = True
+) -> None:
     """Check that a session of the data set can be added to the map, or its last one resumed."""
-    sessions, found = store.sessions(), store.parameters().get("model", model)
+    sessions = store.sessions()
     if is_new and sessions and not sessions[-1].is_finished:
         raise MapError(
-            f"{store.path}: found an interrupted run of {sessions[-1].sequence}, "
-            "expected a finished one: resume it first"
+            f"{store.path}: found an interrupted run of {sessions[-1].sequence}, expected a "
+            f"finished one: resume it, or slam-bof map finish {store.path}"
         )
-    if found != model:
-        raise MapError(
-            f"{store.path}: found a map made with model {found[:12]}, expected {model[:12]}: "
-            "all sessions of a map use one model"
-        )
-    camera = store.intrinsics()
-    if camera is not None and not camera.is_close(dataset.intrinsics):
-        raise MapError(
-            f"{store.path}: found {camera}, expected {dataset.intrinsics}, the camera of "
-            f"{dataset.sequence}: all sessions of a map use one camera"
-        )
+    check_session(store, dataset.intrinsics, dataset.sequence, closer)
 
 
 def _is_folder_of(folder: Path, session: Session) -> bool:

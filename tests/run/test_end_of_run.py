@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
+from slam_bof.core import keep_going
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_kitti, read_tum, se3
 from slam_bof.run import run_sequence
-from slam_bof.run.folder import keep_going, link_map, make_folder
+from slam_bof.run.folder import link_map, make_folder
 from slam_bof.scenes import LevelledClassifier
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
@@ -87,7 +88,7 @@ def test_a_failure_at_the_end_leaves_everything_else(monkeypatch, tmp_path):
     def fail(*args, **options):
         raise IndexError("no such room")
 
-    monkeypatch.setattr("slam_bof.run.run.label_map", fail)
+    monkeypatch.setattr("slam_bof.maps.map_session.label_map", fail)
     monkeypatch.setattr("slam_bof.run.outputs.write_report", fail)
     folder = run(tmp_path)
     with MapStore.open(folder / "map.db") as store:
