@@ -19,7 +19,7 @@ from slam_bof.cli.localize import localize
 from slam_bof.cli.map import app as map_tools
 from slam_bof.cli.options import NumbersCommand
 from slam_bof.cli.plugins import plugins
-from slam_bof.cli.query import query
+from slam_bof.cli.query import app as query
 from slam_bof.cli.record import record
 from slam_bof.cli.report import report
 from slam_bof.cli.run import INTERRUPTED, run
@@ -82,10 +82,11 @@ def _options(
 
 
 for command in (
-    *(demo, run, query, localize, report, export, train),
+    *(demo, run, localize, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
-    app.command(cls=NumbersCommand if command in (query, localize) else None)(command)
+    app.command(cls=NumbersCommand if command is localize else None)(command)
+app.add_typer(query, name="query")
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(map_tools, name="map")
 

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import typer
 
 from slam_bof.cli.inputs import map_file
-from slam_bof.cli.options import JSON, MAP
+from slam_bof.cli.options import COMPONENT, JSON, MAP
 from slam_bof.errors import ConfigError
 
 __all__ = ["export"]
@@ -29,6 +29,7 @@ def export(
     session: Annotated[
         int | None, typer.Option(min=0, help="Export only this session; by default all.")
     ] = None,
+    component: COMPONENT = None,
     all_frames: Annotated[
         bool,
         typer.Option("--all-frames", help="For tum and kitti: every frame of the session."),
@@ -51,7 +52,7 @@ def export(
     """Export a map, at its optimised poses, to a file format of other programs."""
     from slam_bof.cli.console import print_json
     from slam_bof.maps import OccupancyGridParams, export_map
-    from slam_bof.store import MapStore
+    from slam_bof.store import MapStore, choose_component, components_of
 
     if all_frames and format_ not in ("tum", "kitti"):
         raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
@@ -65,16 +66,20 @@ def export(
     if format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):
         out = out.with_name(f"{out.name}.yaml")
     with MapStore.open(map_file(map_)) as store:
+        inside = choose_component(store, component, session=session)
+        if inside.any():
+            component = int(components_of(store)[inside][0])
         n = export_map(
             store,
             out,
             format_,
             session=session,
+            component=component,
             all_frames=all_frames,
             voxel_size_m=voxel,
             occupancy=plan,
         )
-        n_keyframes = sum(session in (None, k.session) for k in store.keyframes())
+    n_keyframes = int(inside.sum())
     what = "points" if format_ == "ply" else "frames" if all_frames else "keyframes"
     if as_json:
         answer = {"file": str(out), "format": format_, "n_keyframes": n_keyframes, f"n_{what}": n}

@@ -13,7 +13,7 @@ from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import config as configs
-from slam_bof.store import MapStore, components_of
+from slam_bof.store import MapStore, choose_component
 from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene
 
 __all__ = ["LocalizedFrame", "MapLocalizer"]
@@ -88,8 +88,7 @@ class MapLocalizer:
                 )
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
             model = models.resolve(config.model)
-            components = components_of(store)
-            largest = np.flatnonzero(components == np.bincount(components).argmax())
+            largest = np.flatnonzero(choose_component(store))
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,

@@ -16,6 +16,7 @@ from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
 from slam_bof.run.metrics import Metrics
 from slam_bof.run.record import RunRecord
+from slam_bof.store import largest_component
 from slam_bof.types import Candidate, Keyframe, Trajectory
 from slam_bof.visualization import ReportData, write_report
 
@@ -41,7 +42,10 @@ def write_outputs(
     with keep_going("pose_graph.g2o", warn):
         record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
     with keep_going("map.ply", warn):
-        write_sequence_cloud(folder / "map.ply", record.dataset, frame_indices, result.T_map_camera)
+        components = record.closer.map.components[record.closer.map.first_keyframe :]
+        inside = components == largest_component(components)
+        shown = [index for index, is_shown in zip(frame_indices, inside, strict=True) if is_shown]
+        write_sequence_cloud(folder / "map.ply", record.dataset, shown, result.T_map_camera[inside])
     with keep_going("report.html", warn):
         write_report(folder / "report.html", _report_data(record, metrics))
 

@@ -246,6 +246,11 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
             f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
         )
     record = _finish(job, store, session, result, used)
+    if closer.map.n_components > 1:
+        job.observer.on_warning(
+            f"the map has {closer.map.n_components} components that no loop has joined: poses of "
+            "different components are not comparable, and map.ply shows the largest"
+        )
     metrics = compute_metrics(record)
     write_outputs(folder, record, metrics, job.observer.on_warning)
     logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])

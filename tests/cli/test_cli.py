@@ -141,7 +141,7 @@ def test_query_answers_in_tables_and_json(finished: Path) -> None:
     table = slam_bof("query", finished)
     assert table.exit_code == 0
     assert len([line for line in table.stdout.splitlines() if "│" in line]) == 3
-    assert json.loads(slam_bof("query", finished, "--loops", "--json").stdout) == []
+    assert json.loads(slam_bof("query", "loops", finished, "--accepted", "--json").stdout) == []
 
 
 def test_query_explains_mistakes(finished: Path, tmp_path: Path) -> None:
@@ -150,7 +150,7 @@ def test_query_explains_mistakes(finished: Path, tmp_path: Path) -> None:
     assert "--near: found '1,2', expected X Y Z" in refusal("query", finished, "--near", "1,2")
     assert "--near: found '1,2', expected X Y Z" in refusal("query", finished, "--near", 1, 2)
     assert "--near: found '1,nan,2', expected" in refusal("query", finished, "--near", "1,nan,2")
-    assert "--model: found without a depth image" in refusal("query", finished, "--model", "m")
+    assert slam_bof("query", finished, "--model", "m").exit_code == 2
     assert "--near: found 'here', expected" in refusal("query", finished, "--near", "here")
     assert "expected a map.db" in refusal("query", tmp_path)
     (tmp_path / "map.db").write_text("not a database, but long enough to look at" * 20)
