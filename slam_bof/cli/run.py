@@ -76,6 +76,9 @@ def run(
             help="Resume the interrupted run of this map.db or folder after its last keyframe.",
         ),
     ] = None,
+    color: Annotated[
+        bool, typer.Option("--color", help="Give map.ply the data set's colour, if it has any.")
+    ] = False,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
@@ -103,6 +106,7 @@ def run(
             out,
             frames=frames,
             max_frames=max_frames,
+            with_color=color,
             quiet=quiet,
             as_json=as_json,
         )
@@ -118,6 +122,7 @@ def run(
         frames=frames,
         max_frames=max_frames,
         map_=None if map_ is None else map_file(map_),
+        with_color=color,
         quiet=quiet,
         as_json=as_json,
     )
@@ -131,6 +136,7 @@ def run_new(
     frames: str | None = None,
     max_frames: int | None,
     map_: Path | None = None,
+    with_color: bool = False,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -146,6 +152,7 @@ def run_new(
             map_file=map_,
             observer=observer,
             max_frames=max_frames,
+            with_color=with_color,
             remarks=remarks,
         )
     _show(result, as_json=as_json)
@@ -158,6 +165,7 @@ def _resume(
     *,
     frames: str | None,
     max_frames: int | None,
+    with_color: bool,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -175,7 +183,13 @@ def _resume(
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
     with _observer(sequence, dataset, frames, quiet=quiet) as observer:
         result = resume_sequence(
-            dataset, map_, out, observer=observer, max_frames=max_frames, remarks=remarks
+            dataset,
+            map_,
+            out,
+            observer=observer,
+            max_frames=max_frames,
+            with_color=with_color,
+            remarks=remarks,
         )
     _show(result, as_json=as_json)
 

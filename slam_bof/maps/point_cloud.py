@@ -25,6 +25,7 @@ def write_sequence_cloud(
     frame_indices: Sequence[int],
     T_map_camera: Array,
     *,
+    with_color: bool = False,
     voxel_size_m: float = 0.02,
 ) -> int:
     """Write the point cloud of frames of a data set and return its number of points.
@@ -32,10 +33,12 @@ def write_sequence_cloud(
     Parameters
     ----------
     path
-        The .ply file to write (binary, with colour where the data set has it). It has no points
-        if there are no frames or all depth is beyond 4 m.
+        The .ply file to write (binary). It has no points if there are no frames or all depth is
+        beyond 4 m.
     dataset, frame_indices, T_map_camera
         The frames to fuse, by index, and their (K, 4, 4) poses in the map.
+    with_color
+        Give points the data set's colour, which may show people.
     voxel_size_m
         Side of the voxels; one point is kept in each.
     """
@@ -46,7 +49,7 @@ def write_sequence_cloud(
             depth_m = frame.depth_m(STRIDE)
             depth_m[depth_m > MAX_RANGE_M] = 0.0
             points_camera = back_project(depth_m, frame.intrinsics, STRIDE)
-            color = dataset.color(index)
+            color = dataset.color(index) if with_color else None
             rgb = None if color is None else color[::STRIDE, ::STRIDE][depth_m > 0.0] / 255.0
             yield se3.transform(T, points_camera), rgb
 

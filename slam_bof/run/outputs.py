@@ -45,7 +45,13 @@ def write_outputs(
         components = record.closer.map.components[record.closer.map.first_keyframe :]
         inside = components == largest_component(components)
         shown = [index for index, is_shown in zip(frame_indices, inside, strict=True) if is_shown]
-        write_sequence_cloud(folder / "map.ply", record.dataset, shown, result.T_map_camera[inside])
+        write_sequence_cloud(
+            folder / "map.ply",
+            record.dataset,
+            shown,
+            result.T_map_camera[inside],
+            with_color=record.with_color,
+        )
     with keep_going("report.html", warn):
         write_report(folder / "report.html", _report_data(record, metrics))
 

@@ -31,6 +31,8 @@ class RunRecord:
     groundtruth, true_scenes
         The true pose of each frame of the sequence, and the true label of each keyframe; None
         where the data set has none.
+    with_color
+        Whether ``map.ply`` may have the colour of the data set.
     usage, clock
         Time spent in this process.
     """
@@ -44,5 +46,6 @@ class RunRecord:
     n_rooms: int
     groundtruth: Trajectory | None
     true_scenes: Sequence[str] | None
+    with_color: bool
     usage: Usage
     clock: StageClock

@@ -90,6 +90,7 @@ def run_sequence(
     map_file: Path | None = None,
     observer: Observer | None = None,
     max_frames: int | None = None,
+    with_color: bool = False,
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Run the mini-SLAM over a sequence and write everything into a new folder under ``out``.
@@ -107,6 +108,8 @@ def run_sequence(
         Is informed of every step and warning.
     max_frames
         Stop after this many frames.
+    with_color
+        Give the points of ``map.ply`` the data set's colour, which may show people.
     remarks
         First lines of ``run.log``.
 
@@ -118,7 +121,7 @@ def run_sequence(
         If the model, a plug-in, the data set or the map is missing or unusable.
     """
     config = configs.complete(config)
-    job = _Job.prepare(dataset, config, observer, max_frames)
+    job = _Job.prepare(dataset, config, observer, max_frames, with_color=with_color)
     with ExitStack() as stack:
         store = None
         if map_file is not None:
@@ -157,6 +160,7 @@ def resume_sequence(
     *,
     observer: Observer | None = None,
     max_frames: int | None = None,
+    with_color: bool = False,
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Resume an interrupted run after its last saved keyframe.
@@ -184,7 +188,8 @@ def resume_sequence(
                 f"{' '.join(found)}"
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
-        job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
+        n_frames = max_frames or session.max_frames
+        job = _Job.prepare(dataset, config, observer, n_frames, with_color=with_color)
         _check_ready(store, dataset, job.closer, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
@@ -204,20 +209,33 @@ class _Job:
     config: Config
     observer: LoggingObserver
     max_frames: int | None
+    with_color: bool
     clock: StageClock
     odometry: Odometry
     closer: LoopCloser
 
     @classmethod
     def prepare(
-        cls, dataset: Dataset, config: Config, observer: Observer | None, max_frames: int | None
+        cls,
+        dataset: Dataset,
+        config: Config,
+        observer: Observer | None,
+        max_frames: int | None,
+        *,
+        with_color: bool,
     ) -> _Job:
         """Build the odometry and the plug-in that the configuration names."""
         clock = StageClock()
-        odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
-        closer = LoopCloser.from_config(config, clock=clock)
-        logging_observer = LoggingObserver(observer or NullObserver())
-        return cls(dataset, config, logging_observer, max_frames, clock, odometry, closer)
+        return cls(
+            dataset=dataset,
+            config=config,
+            observer=LoggingObserver(observer or NullObserver()),
+            max_frames=max_frames,
+            with_color=with_color,
+            clock=clock,
+            odometry=registry.build("odometry", config.odometry.name, config.odometry.options),
+            closer=LoopCloser.from_config(config, clock=clock),
+        )
 
 
 def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: bool) -> RunResult:
@@ -276,6 +294,7 @@ def _finish(
         n_rooms=len(rooms),
         groundtruth=dataset.groundtruth(),
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
+        with_color=job.with_color,
         usage=used,
         clock=job.clock,
     )

@@ -45,9 +45,9 @@ class BoxRoom:
     def scenes(self) -> None: ...
 
 
-def run(out: Path) -> Path:
+def run(out: Path, **options: bool) -> Path:
     config = override(preset("indoor"), ["keyframes.max_gap=3"])
-    return run_sequence(BoxRoom(), config, out).folder
+    return run_sequence(BoxRoom(), config, out, **options).folder
 
 
 def test_depth_in_another_unit_is_the_reason_for_lost_frames(monkeypatch, tmp_path):
@@ -146,3 +146,11 @@ def test_a_folder_named_latest_stays(tmp_path, caplog):
     assert {path.name for path in tmp_path.iterdir()} == {"latest", folder.name}
     assert (tmp_path / "latest" / "mine.txt").exists()
     assert "latest: cannot be linked to" in caplog.text
+
+
+def test_a_run_keeps_no_colour_unless_asked(monkeypatch, tmp_path):
+    rgb = np.full((CAMERA.height, CAMERA.width, 3), 200, np.uint8)
+    monkeypatch.setattr(BoxRoom, "color", lambda self, index: rgb)
+    assert b"property uchar red" not in (run(tmp_path / "a") / "map.ply").read_bytes()
+    colored = run(tmp_path / "b", with_color=True)
+    assert b"property uchar red" in (colored / "map.ply").read_bytes()
