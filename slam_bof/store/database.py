@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import sqlite3
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
@@ -173,6 +173,18 @@ class MapDatabase:
             self._db.execute("VACUUM")
 
 
+def _lock(descriptor: int) -> None:
+    """Lock an open file for this process; an ``OSError`` if another one has locked it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 class _WriterLock:
     """A lock file beside a map, held by the one program that writes to it."""
 
@@ -181,12 +193,13 @@ class _WriterLock:
         self._file = Path(f"{path.resolve()}-lock")
         while True:
             try:
-                self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+                flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
+                self._descriptor = os.open(self._file, flags, 0o644)
             except OSError as error:
                 raise MapError(f"{path}: cannot be opened for writing: {error.strerror}") from error
             try:
-                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                _lock(self._descriptor)
+            except (BlockingIOError, PermissionError):
                 os.close(self._descriptor)
                 raise MapError(f"{path}: {ERROR_MESSAGES[sqlite3.SQLITE_BUSY]}") from None
             if self._is_current():
