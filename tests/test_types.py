@@ -109,3 +109,11 @@ def test_intrinsics_are_plain_numbers_whatever_they_are_given_as() -> None:
         Intrinsics(160.5, 120, 140.0, 140.0, 79.5, 59.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="image of 0x120 pixels"):
         Intrinsics(0, 120, 140.0, 140.0, 79.5, 59.5)
+
+
+def test_a_trajectory_is_shown_in_one_line() -> None:
+    poses = np.tile(np.eye(4), (900, 1, 1))
+    assert repr(Trajectory(np.arange(900) / 2, poses)) == (
+        "Trajectory(900 poses from 0.0 to 449.5 s)"
+    )
+    assert repr(Trajectory()) == "Trajectory(no poses)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from typing import Annotated, Any
 
@@ -63,7 +64,6 @@ app = typer.Typer(
     cls=OneLineErrors,
     help="Depth-only place recognition, loop closing and scene labels.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -79,6 +79,21 @@ def _options(
     ] = False,
 ) -> None:
     """Depth-only place recognition, loop closing and scene labels."""
+    root = logging.getLogger()
+    if not any(isinstance(handler, ShowWarnings) for handler in root.handlers):
+        root.addHandler(ShowWarnings())
+
+
+class ShowWarnings(logging.Handler):
+    """Prints warnings of all libraries on stderr, but those of a run, which its bar shows."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.addFilter(lambda record: not record.name.startswith("slam_bof.run."))
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a warning in one line."""
+        typer.echo(f"warning: {' '.join(record.getMessage().split())}", err=True)
 
 
 for command in (

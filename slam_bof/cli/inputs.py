@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +25,7 @@ def map_file(path: Path) -> Path:
 def open_sequence(
     path: Path, choice: PluginChoice, frames: str | None, *, quiet: bool
 ) -> tuple[Dataset, list[str]]:
-    """Open a sequence; return it, and remarks on how its layout was recognised.
+    """Open a sequence; return it, and remarks: how its layout was recognised, and warnings.
 
     Raises
     ------
@@ -40,10 +43,35 @@ def open_sequence(
         name, remarks = found.name, [f"{path}: {found}"]
         if not quiet:
             typer.echo(remarks[0], err=True)
-    dataset = registry.open_dataset(path, name, choice.options)
+    with _collecting_warnings() as warnings:
+        dataset = registry.open_dataset(path, name, choice.options)
+    remarks += warnings
     if isinstance(dataset, LabelledImages):
         raise DatasetError(
             f"{path}: found single images of {name}, expected a sequence; "
             "single images serve train and evaluate scenes"
         )
     return (dataset if frames is None else SequenceSlice.parse(dataset, frames)), remarks
+
+
+class _Collector(logging.Handler):
+    """Keeps messages."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a message."""
+        self.messages.append(f"{record.levelname}: {record.getMessage()}")
+
+
+@contextmanager
+def _collecting_warnings() -> Iterator[list[str]]:
+    """Collect what is warned of, for the log of a run that does not exist yet."""
+    collector, root = _Collector(), logging.getLogger()
+    root.addHandler(collector)
+    try:
+        yield collector.messages
+    finally:
+        root.removeHandler(collector)

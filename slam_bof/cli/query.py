@@ -34,9 +34,9 @@ KEYFRAMES = (
     ("keyframe", "id"),
     ("frame", "frame_index"),
     ("time s", "stamp_s"),
-    ("scene", "label"),
-    ("probability", "label_probability"),
-    ("scene of image", "scene"),
+    ("smoothed", "smoothed"),
+    ("probability", "smoothed_probability"),
+    ("scene", "scene"),
     ("probability", "scene_probability"),
     ("room", "region"),
     ("x m", "translation_m_0"),
@@ -58,7 +58,7 @@ LOOPS = (
 )
 ROOMS = (
     ("room", "id"),
-    ("scene", "label"),
+    ("label", "label"),
     ("probability", "probability"),
     ("keyframes", "n_keyframes"),
     ("x m", "center_m_0"),
@@ -152,10 +152,7 @@ def keyframes(
         if scene is not None and form == "table":
             with_scene = _rooms(store, query_rooms(store, scene=scene))
             show_rows(with_scene, ROOMS, form, "Rooms (extent of the camera positions)")
-    rows = [asdict(record) for record in records]
-    if form == "table":
-        rows = [{**row, **_label(row)} for row in rows]
-    show_rows(rows, KEYFRAMES, form)
+    show_rows([asdict(record) for record in records], KEYFRAMES, form)
 
 
 @app.command()
@@ -248,12 +245,6 @@ def _label_image(
         )
     rows = [{"scene": name, "probability": p} for name, p in answer.probabilities.items()]
     show_rows(rows, (("scene", "scene"), ("probability", "probability")), form)
-
-
-def _label(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the smoothed label of a keyframe; where there is none, that of its image."""
-    name = "scene" if row["smoothed"] is None else "smoothed"
-    return {"label": row[name], "label_probability": row[f"{name}_probability"]}
 
 
 def _rooms(store: MapStore, found: Sequence[MapRoom]) -> list[dict[str, Any]]:

@@ -33,6 +33,7 @@ SUMMARY = (
     ("Loops accepted", "n_loops", ""),
     ("Correct loops", "loop_precision", "share"),
     ("Correct scene labels (single image)", "scene_accuracy", "share"),
+    ("Correct scene labels (smoothed)", "scene_accuracy_smoothed", "share"),
     ("Frames", "n_frames", ""),
     ("Keyframes", "n_keyframes", ""),
     ("Speed", "fps", "frames/s"),

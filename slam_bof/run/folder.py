@@ -66,18 +66,33 @@ def as_run_errors(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def logging_to(path: Path) -> Iterator[None]:
-    """Write the package's log to a file while the block runs."""
+    """Write the log to a file while the block runs: of slam_bof, warnings of all others.
+
+    The last line says how the run ended, if by an error.
+    """
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    package = logging.getLogger("slam_bof")
-    level = package.level
-    package.addHandler(handler)
-    package.setLevel(logging.INFO)
+    handler.addFilter(
+        lambda record: record.levelno >= logging.WARNING or record.name.startswith("slam_bof")
+    )
+    root = logging.getLogger()
+    packages = [logging.getLogger(name) for name in ("slam_bof", "slam_bof_plugins")]
+    levels = [package.level for package in packages]
+    root.addHandler(handler)
+    for package in packages:
+        package.setLevel(logging.INFO)
     try:
         yield
+    except KeyboardInterrupt as interruption:
+        logger.warning("interrupted: %s", interruption)
+        raise
+    except BaseException as error:
+        logger.error("failed: %s: %s", type(error).__name__, error)
+        raise
     finally:
-        package.removeHandler(handler)
-        package.setLevel(level)
+        root.removeHandler(handler)
+        for package, level in zip(packages, levels, strict=True):
+            package.setLevel(level)
         handler.close()
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from slam_bof.core import StageClock, one_blas_thread
 from slam_bof.errors import FrameError
 from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
-from slam_bof.slam.config import Config, load, preset
+from slam_bof.slam.config import Config, preset, resolve
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.tracking import KeyframeSelector, Track, Tracker, TrackingParams
@@ -84,11 +84,11 @@ class LoopCloser:
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> Self:
-        """Build a loop closer from a configuration or a YAML file.
+        """Build a loop closer from a configuration, the name of a preset or of a YAML file.
 
         ``journal`` is called with the record of each new keyframe.
         """
-        config = config if isinstance(config, Config) else load(Path(config))
+        config = config if isinstance(config, Config) else resolve(str(config))
         clock = clock or StageClock()
         return cls(
             KeyframeMap.from_config(config, clock),
@@ -239,6 +239,8 @@ class LoopCloser:
             frame = replace(frame, intrinsics=camera)
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         try:
+            if T_odom_camera.shape == (3, 4):
+                raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
             se3.check_rigid(T_odom_camera)
         except ValueError as error:
             place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"

@@ -68,7 +68,7 @@ class MapDatabase:
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = True) -> Self:
-        """Open a map; a map that a run is still writing can be read.
+        """Open a map, or that in the folder of a run; one that is being written can be read.
 
         A map of an older version is migrated, in its file if it is opened for writing, otherwise
         in memory.
@@ -80,6 +80,8 @@ class MapDatabase:
             writing while another program writes to it.
         """
         path = Path(path)
+        if path.is_dir() and (path / "map.db").exists():
+            path = path / "map.db"
         if not path.is_file():
             found = "a folder" if path.is_dir() else "no file"
             raise MapError(f"{path}: found {found}, expected a map.db")

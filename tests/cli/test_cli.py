@@ -123,6 +123,14 @@ def test_options_outrank_the_configuration(
     assert again == {**written, "seed": 5}
 
 
+def test_shells_can_complete_commands(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "--install-completion" in slam_bof("--help").stdout
+    monkeypatch.setenv("_SLAM_BOF_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", "slam-bof lo")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    assert "localize" in CliRunner().invoke(app, [], prog_name="slam-bof").output
+
+
 def test_query_answers_in_tables_and_json(finished: Path) -> None:
     result = slam_bof("query", finished, "--json")
     found = json.loads(result.stdout)

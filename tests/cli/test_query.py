@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from pathlib import Path
 
 import cv2
@@ -173,6 +174,29 @@ def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
     assert "expected JSON with width, height" in refusal("query", other, *trained)
 
 
+def test_tables_call_labels_as_json_does(labelled: Path) -> None:
+    (record,) = found(labelled, "--keyframe", 1)
+    table = slam_bof("query", labelled, "--keyframe", 1).stdout.splitlines()
+    head, row = ([cell.strip() for cell in line.strip("│┃").replace("┃", "│").split("│")]
+                 for line in table if "smoothed" in line or "kitchen" in line)  # fmt: skip
+    shown = dict(zip(head, row, strict=True))
+    assert (shown["smoothed"], shown["scene"]) == (record["smoothed"], record["scene"])
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_tables_fit_narrow_terminals(
+    labelled: Path, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    lines = slam_bof("query", labelled).stdout.splitlines()
+    plain = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines]
+    assert max(map(len, plain)) <= width
+    text = "\n".join(plain)
+    assert "…" not in text
+    assert (text.count("office"), text.count("kitchen")) == (3, 5)  # whole words, none cut
+
+
 def test_options_that_exclude_each_other_are_refused(labelled: Path) -> None:
     for arguments in (
         ("query", labelled, "--time", 1, "--near", 0, 0, 0),
@@ -231,6 +255,7 @@ def test_components_are_told_apart(parted: Path, caplog: pytest.LogCaptureFixtur
     assert not caplog.text
     near = ("--near", 4, 0, 0)
     assert [r["id"] for r in found(parted, *near)] == [2, 1, 0]
+    assert "warning: " in slam_bof("query", parted, *near).stderr
     assert "2 components that no loop has joined; taking the largest, component 0, with 3 of 5" in (
         caplog.text
     )

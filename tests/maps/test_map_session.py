@@ -56,6 +56,9 @@ def test_a_session_makes_a_map_and_another_one_extends_it(tmp_path):
         assert store.sessions()[1].config == store.sessions()[0].config
         assert "max_gap: 2" in store.sessions()[1].config
     assert len(MapLocalizer.open(path)) > 0
+    (tmp_path / "run").mkdir()
+    path.rename(tmp_path / "run" / "map.db")
+    assert len(MapLocalizer.open(tmp_path / "run")) > 0
 
 
 def crash(path):

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import logging
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -154,3 +155,27 @@ def test_a_run_keeps_no_colour_unless_asked(monkeypatch, tmp_path):
     assert b"property uchar red" not in (run(tmp_path / "a") / "map.ply").read_bytes()
     colored = run(tmp_path / "b", with_color=True)
     assert b"property uchar red" in (colored / "map.ply").read_bytes()
+
+
+def test_the_log_has_warnings_of_plugins_and_how_the_run_ended(monkeypatch, tmp_path):
+    frame = BoxRoom.frame
+
+    def warn_and_fail(self, index):
+        if index == 5:
+            logging.getLogger("slam_bof_plugins.dataset_box").warning("a strange frame")
+            logging.getLogger("stranger").info("nothing of interest")
+            logging.getLogger("stranger").warning("a strange plug-in")
+        if index == 9:
+            raise RuntimeError("the cable is out")
+        return frame(self, index)
+
+    monkeypatch.setattr(BoxRoom, "frame", warn_and_fail)
+    monkeypatch.setattr("slam_bof.run.run.find_doubts", lambda dataset: [])
+    with pytest.raises(RuntimeError):
+        run(tmp_path)
+    (log,) = tmp_path.glob("2*/run.log")
+    lines = log.read_text().splitlines()
+    assert any("WARNING slam_bof_plugins.dataset_box: a strange frame" in line for line in lines)
+    assert any("WARNING stranger: a strange plug-in" in line for line in lines)
+    assert not any("nothing of interest" in line for line in lines)
+    assert lines[-1].endswith("failed: RuntimeError: the cable is out")

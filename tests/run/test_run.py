@@ -247,6 +247,7 @@ BAD_POSES = {
     "rotation .determinant 8": np.diag([2.0, 2.0, 2.0, 1.0]),
     "rotation .determinant -1": np.diag([-1.0, 1.0, 1.0, 1.0]),
     r"\(4,\)": np.ones(4),
+    r"\(3, 4\) matrix, expected \(4, 4\): its last row is 0 0 0 1": np.eye(4)[:3],
 }
 
 

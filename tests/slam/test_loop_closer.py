@@ -8,6 +8,7 @@ import pytest
 from conftest import CAMERA, box_room_depth_mm
 
 from slam_bof.bof import LayerParams, PlaceParams, descriptors
+from slam_bof.errors import ConfigError
 from slam_bof.geometry import se3
 from slam_bof.scenes import TrainingFrame, model as models, train_model
 from slam_bof.slam import LoopCloser, preset
@@ -88,3 +89,12 @@ def test_a_camera_at_rest_costs_nothing():
     assert len(closer.map.keyframes) == 1
     assert len(closer.map.loops) == 0
     assert np.abs(closer.finish().poses - np.eye(4)).max() < 0.01
+
+
+def test_a_preset_is_named_where_a_configuration_is_expected(tmp_path):
+    (tmp_path / "my.yaml").write_text("keyframes: {policy: every}")
+    assert LoopCloser.from_config("paper")._selector.params.policy == "every"
+    assert LoopCloser.from_config(str(tmp_path / "my.yaml"))._selector.params.policy == "every"
+    assert LoopCloser.from_config(tmp_path / "my.yaml")._selector.params.policy == "every"
+    with pytest.raises(ConfigError, match="no preset 'outdoor'"):
+        LoopCloser.from_config("outdoor")
