@@ -13,7 +13,7 @@ from slam_bof.types import Params, Pose
 __all__ = ["KeyframeParams", "KeyframeSelector"]
 
 
-REST_M, REST_RAD = 0.01, 0.01
+REST_M, REST_RAD = 0.005, 0.005
 """A camera that is closer than this to the last keyframe, in both, stands still."""
 
 
