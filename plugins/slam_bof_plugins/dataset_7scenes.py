@@ -43,6 +43,7 @@ class SevenScenes:
     """One sequence in 7-Scenes layout."""
 
     name: ClassVar[str] = "7scenes"
+    units_per_m: ClassVar[float] = 1000.0
 
     def __init__(self, folder: Path, numbers: Sequence[int], intrinsics: Intrinsics) -> None:
         self.folder = folder

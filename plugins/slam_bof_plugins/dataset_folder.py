@@ -85,6 +85,7 @@ class DepthFolder:
             camera.cy,
         )
         self._depth_scale = camera.depth_scale
+        self.units_per_m = camera.depth_scale or (1000.0 if files[0].suffix == ".png" else 1.0)
         self._files = tuple(files)
         self._stamps_s = stamps_s
         self._groundtruth = _read_groundtruth(folder, stamps_s)

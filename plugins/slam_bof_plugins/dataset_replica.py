@@ -57,7 +57,7 @@ class Replica:
         self.folder = folder
         self.sequence = sequence_name(folder)
         self.intrinsics = intrinsics
-        self._units_per_m = units_per_m
+        self.units_per_m = units_per_m
         self._files = tuple(files)
         self._numbers = tuple(numbers)
         self._groundtruth = self._read_groundtruth()
@@ -102,7 +102,7 @@ class Replica:
 
     def frame(self, index: int) -> DepthFrame:
         """Read a frame; its time is its number at 30 Hz, its depth float32 m."""
-        depth = scale_depth(read_depth_png(self._files[index]), self._units_per_m)
+        depth = scale_depth(read_depth_png(self._files[index]), self.units_per_m)
         return DepthFrame(self._numbers[index] / FRAMES_PER_S, depth, self.intrinsics)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:

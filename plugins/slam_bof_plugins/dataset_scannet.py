@@ -35,6 +35,7 @@ class ScanNet:
 
     def __init__(self, sens: SensFile) -> None:
         self._sens = sens
+        self.units_per_m = sens.units_per_m
         self.sequence = sequence_name(sens.path.with_suffix(""))
         self.intrinsics = _camera(sens.path, sens.K_depth, sens.depth_size)
         self._stamps_s = _times(sens)

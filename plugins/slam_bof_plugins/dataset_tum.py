@@ -82,6 +82,7 @@ class TumRgbd:
     """One sequence of the TUM RGB-D benchmark, or in its layout."""
 
     name: ClassVar[str] = "tum"
+    units_per_m: ClassVar[float] = UNITS_PER_M
     Params = TumParams
 
     def __init__(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,11 +11,14 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from slam_bof.cli.options import parse_numbers
+
 if TYPE_CHECKING:
     from slam_bof.ports import Dataset
     from slam_bof.slam import PluginChoice
+    from slam_bof.types import DepthFrame
 
-__all__ = ["map_file", "open_sequence"]
+__all__ = ["map_file", "open_sequence", "read_image"]
 
 
 def map_file(path: Path) -> Path:
@@ -52,6 +56,48 @@ def open_sequence(
             "single images serve train and evaluate scenes"
         )
     return (dataset if frames is None else SequenceSlice.parse(dataset, frames)), remarks
+
+
+def read_image(
+    path: Path, map_: Path | None, *, intrinsics: str | None, depth_scale: float | None
+) -> tuple[DepthFrame, str]:
+    """Read a depth image whose camera and unit are given, in intrinsics.json, or those of a map.
+
+    Return the frame, and the source of its intrinsics in words.
+
+    Raises
+    ------
+    DatasetError
+        If they are unknown: they are not guessed.
+    """
+    from slam_bof.datasets import CAMERA_FILE, read_depth_image
+    from slam_bof.errors import DatasetError
+    from slam_bof.store import MapStore
+
+    given = None
+    if intrinsics is not None:
+        given = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
+    is_described = (path.parent / CAMERA_FILE).is_file()
+    source = ""
+    if map_ is not None and not (is_described and given is None):
+        with MapStore.open(map_) as store:
+            camera, units = store.intrinsics(), store.parameters().get("units_per_m", "null")
+        if given is None and camera is not None:
+            given, source = [camera.fx, camera.fy, camera.cx, camera.cy], f"from {store.path}"
+        if depth_scale is None and path.suffix != ".npy":
+            depth_scale = json.loads(units)
+            if depth_scale is None:
+                raise DatasetError(
+                    f"{path}: found no unit of depth in {store.path}, expected --depth-scale, the "
+                    "units per metre, such as 1000"
+                )
+    if given is None and not is_described:
+        raise DatasetError(
+            f"{path}: found no {CAMERA_FILE} beside it, expected --intrinsics FX FY CX CY, or "
+            "--map for the camera of a map"
+        )
+    frame, found = read_depth_image(path, intrinsics=given, depth_scale=depth_scale)
+    return frame, source or found
 
 
 class _Collector(logging.Handler):

@@ -62,13 +62,15 @@ INTRINSICS = Annotated[
     typer.Option(
         metavar="FX FY CX CY",
         help="For an IMAGE: focal lengths and principal point in pixels. By default those in "
-        "intrinsics.json beside the image; without that file, localize takes the map's camera, "
-        "query a Kinect's.",
+        "intrinsics.json beside the image, or of the map.",
     ),
 ]
 DEPTH_SCALE = Annotated[
     float | None,
-    typer.Option(min=1.0, help="For an IMAGE: depth units per metre. By default 1000 (mm)."),
+    typer.Option(
+        min=1.0,
+        help="For an IMAGE: depth units per metre. By default those of the map, or 1000 (mm).",
+    ),
 ]
 
 N_NUMBERS = {"--near": 3, "--intrinsics": 4}

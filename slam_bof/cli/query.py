@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from typer.core import TyperGroup
 
-from slam_bof.cli.inputs import map_file
+from slam_bof.cli.inputs import map_file, read_image
 from slam_bof.cli.options import (
     COMPONENT,
     DEPTH_SCALE,
@@ -201,6 +201,10 @@ def loops(
 def image(
     path: Annotated[Path, typer.Argument(metavar="IMAGE", help="A depth image.")],
     model: Annotated[str, typer.Option(help="The model file, or default.")] = "default",
+    map_: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="MAP", help="Take camera and unit of depth from this map."),
+    ] = None,
     intrinsics: INTRINSICS = None,
     depth_scale: DEPTH_SCALE = None,
     min_probability: MIN_PROBABILITY = 0.0,
@@ -209,29 +213,25 @@ def image(
 ) -> None:
     """Print the scene label that a model gives a single depth image."""
     form: Format = "json" if as_json else format_
-    _label_image(path, model, intrinsics, depth_scale, min_probability, form)
+    _label_image(path, model, map_, intrinsics, depth_scale, min_probability, form)
 
 
 def _label_image(
     path: Path,
     model: str,
+    map_: Path | None,
     intrinsics: str | None,
     depth_scale: float | None,
     min_probability: float,
     form: Format,
 ) -> None:
     from slam_bof.cli.console import print_json
-    from slam_bof.scenes import label_image, model as models
+    from slam_bof.scenes import label_frame, model as models
 
-    numbers = None
-    if intrinsics is not None:
-        numbers = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
-    answer = label_image(
-        path,
-        models.resolve(model),
-        intrinsics=numbers,
-        depth_scale=depth_scale,
-        min_probability=min_probability,
+    chosen = models.resolve(model)
+    frame, source = read_image(path, map_, intrinsics=intrinsics, depth_scale=depth_scale)
+    answer = label_frame(
+        frame, chosen, name=str(path), source=source, min_probability=min_probability
     )
     if form == "json":
         print_json(asdict(answer))

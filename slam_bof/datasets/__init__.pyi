@@ -1,5 +1,6 @@
 from . import download as download
 from .depth_images import (
+    CAMERA_FILE as CAMERA_FILE,
     is_image as is_image,
     read_depth_image as read_depth_image,
 )
@@ -32,6 +33,7 @@ from .recording import (
 )
 from .sequence_slice import (
     SequenceSlice as SequenceSlice,
+    first_frame as first_frame,
 )
 from .synchroniser import (
     FramePoseSynchroniser as FramePoseSynchroniser,

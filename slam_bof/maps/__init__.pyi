@@ -1,4 +1,5 @@
 from .export import (
+    Format as Format,
     export_map as export_map,
     session_trajectory as session_trajectory,
 )

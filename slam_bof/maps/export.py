@@ -50,6 +50,7 @@ def export_map(
     component: int | None = None,
     all_frames: bool = False,
     voxel_size_m: float = 0.02,
+    z_up: bool = False,
     occupancy: OccupancyGridParams | None = None,
 ) -> int:
     """Export a map to a file.
@@ -70,6 +71,9 @@ def export_map(
         may be left out if the map has only one.
     voxel_size_m
         With ``ply``: side of the voxels; one point is kept in each.
+    z_up
+        With ``ply``: in the plan frame of the occupancy grid (z up, 0 on the floor) instead of the
+        frame of the map.
     occupancy
         With ``occupancy``: parameters of the grid.
 
@@ -102,7 +106,7 @@ def export_map(
         return len(own)
     views = _views(store, own)
     if format_ == "ply":
-        return write_keyframe_cloud(path, views, poses[own], voxel_size_m=voxel_size_m)
+        return write_keyframe_cloud(path, views, poses[own], voxel_size_m=voxel_size_m, z_up=z_up)
     write_occupancy_grid(path, build_occupancy_grid(views, poses[own], occupancy))
     return len(own)
 

@@ -51,6 +51,7 @@ def write_outputs(
             shown,
             result.T_map_camera[inside],
             with_color=record.with_color,
+            z_up=record.z_up,
         )
     with keep_going("report.html", warn):
         write_report(folder / "report.html", _report_data(record, metrics))

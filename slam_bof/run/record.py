@@ -33,6 +33,8 @@ class RunRecord:
         where the data set has none.
     with_color
         Whether ``map.ply`` may have the colour of the data set.
+    z_up
+        Whether ``map.ply`` is in a frame with z up instead of that of the map.
     usage, clock
         Time spent in this process.
     """
@@ -47,5 +49,6 @@ class RunRecord:
     groundtruth: Trajectory | None
     true_scenes: Sequence[str] | None
     with_color: bool
+    z_up: bool
     usage: Usage
     clock: StageClock

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry
-from slam_bof.datasets import find_doubts
+from slam_bof.datasets import find_doubts, first_frame
 from slam_bof.errors import MapError
 from slam_bof.maps import check_session, finish_session, restore_session
-from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
+from slam_bof.ports import Dataset, NullObserver, Observer, Odometry, ScaledDataset
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
@@ -57,8 +57,9 @@ class RunInterrupted(KeyboardInterrupt):
 class LoggingObserver:
     """Logs warnings and where odometry is lost and recovered, and informs another observer."""
 
-    def __init__(self, observer: Observer) -> None:
+    def __init__(self, observer: Observer, first: int) -> None:
         self.n_frames = 0
+        self._first = first
         self._observer = observer
         self._is_lost = False
 
@@ -72,7 +73,9 @@ class LoggingObserver:
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(
-                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "recovered"
+                "frame %d: odometry %s",
+                self._first + frame_index,
+                "lost" if step.is_lost else "recovered",
             )
         self._observer.on_step(frame_index, step)
 
@@ -91,6 +94,8 @@ def run_sequence(
     observer: Observer | None = None,
     max_frames: int | None = None,
     with_color: bool = False,
+    z_up: bool = False,
+    source: str = "",
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Run the mini-SLAM over a sequence and write everything into a new folder under ``out``.
@@ -110,6 +115,10 @@ def run_sequence(
         Stop after this many frames.
     with_color
         Give the points of ``map.ply`` the data set's colour, which may show people.
+    z_up
+        Write ``map.ply`` in a frame with z up and 0 on the floor instead of that of the map.
+    source
+        Where the sequence is, to be kept in the map for ``run --resume``.
     remarks
         First lines of ``run.log``.
 
@@ -121,7 +130,7 @@ def run_sequence(
         If the model, a plug-in, the data set or the map is missing or unusable.
     """
     config = configs.complete(config)
-    job = _Job.prepare(dataset, config, observer, max_frames, with_color=with_color)
+    job = _Job.prepare(dataset, config, observer, max_frames, with_color=with_color, z_up=z_up)
     with ExitStack() as stack:
         store = None
         if map_file is not None:
@@ -150,6 +159,7 @@ def run_sequence(
             version=importlib.metadata.version("slam-bof"),
             max_frames=max_frames,
         )
+        store.set_parameters({"source": source, "units_per_m": _units_per_m(dataset)})
         return _run(job, folder, store, session, is_new=True)
 
 
@@ -161,6 +171,7 @@ def resume_sequence(
     observer: Observer | None = None,
     max_frames: int | None = None,
     with_color: bool = False,
+    z_up: bool = False,
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Resume an interrupted run after its last saved keyframe.
@@ -189,7 +200,7 @@ def resume_sequence(
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         n_frames = max_frames or session.max_frames
-        job = _Job.prepare(dataset, config, observer, n_frames, with_color=with_color)
+        job = _Job.prepare(dataset, config, observer, n_frames, with_color=with_color, z_up=z_up)
         _check_ready(store, dataset, job.closer, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
@@ -210,6 +221,7 @@ class _Job:
     observer: LoggingObserver
     max_frames: int | None
     with_color: bool
+    z_up: bool
     clock: StageClock
     odometry: Odometry
     closer: LoopCloser
@@ -223,15 +235,17 @@ class _Job:
         max_frames: int | None,
         *,
         with_color: bool,
+        z_up: bool,
     ) -> _Job:
         """Build the odometry and the plug-in that the configuration names."""
         clock = StageClock()
         return cls(
             dataset=dataset,
             config=config,
-            observer=LoggingObserver(observer or NullObserver()),
+            observer=LoggingObserver(observer or NullObserver(), first_frame(dataset)),
             max_frames=max_frames,
             with_color=with_color,
+            z_up=z_up,
             clock=clock,
             odometry=registry.build("odometry", config.odometry.name, config.odometry.options),
             closer=LoopCloser.from_config(config, clock=clock),
@@ -295,6 +309,7 @@ def _finish(
         groundtruth=dataset.groundtruth(),
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
         with_color=job.with_color,
+        z_up=job.z_up,
         usage=used,
         clock=job.clock,
     )
@@ -311,6 +326,11 @@ def _check_ready(
             f"finished one: resume it, or slam-bof map finish {store.path}"
         )
     check_session(store, dataset.intrinsics, dataset.sequence, closer)
+
+
+def _units_per_m(dataset: Dataset) -> float | None:
+    """Return the unit of depth of the sequence's images, where it is known."""
+    return float(dataset.units_per_m) if isinstance(dataset, ScaledDataset) else None
 
 
 def _is_folder_of(folder: Path, session: Session) -> bool:

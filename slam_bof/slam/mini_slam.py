@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.core import StageClock
+from slam_bof.datasets import first_frame
 from slam_bof.errors import DatasetError, FrameError
 from slam_bof.geometry import se3
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
@@ -86,7 +87,7 @@ class MiniSlam:
         """
         n_frames = min(len(dataset), max_frames or len(dataset))
         self._observer.on_start(n_frames)
-        restored = list(self._closer.history.frames)
+        restored, first = list(self._closer.history.frames), first_frame(dataset)
         indices: list[int] = []
         poses: list[Pose] = []
         for index in range(n_frames):
@@ -94,7 +95,7 @@ class MiniSlam:
                 with self._clock.stage("read"):
                     frame = dataset.frame(index)
             except DatasetError as error:
-                self._observer.on_warning(f"frame {index} skipped: {error}")
+                self._observer.on_warning(f"frame {first + index} skipped: {error}")
                 continue
             with self._clock.stage("odometry"):
                 T_odom_camera = self._odometry.process(frame)
@@ -106,7 +107,7 @@ class MiniSlam:
                 else:
                     step = self._closer.process(frame, T_odom_camera)
             except FrameError as error:
-                self._observer.on_warning(f"frame {index} skipped: {error}")
+                self._observer.on_warning(f"frame {first + index} skipped: {error}")
                 continue
             indices.append(index)
             poses.append(T_odom_camera)
@@ -119,8 +120,8 @@ class MiniSlam:
         stamps_s = np.array([frame.stamp_s for frame in self._closer.history.frames])
         odometry = Trajectory(stamps_s, np.array(poses).reshape(-1, 4, 4))
         optimized = self._closer.finish()
-        first = self._closer.map.first_keyframe
-        ids = range(first, len(self._closer.map.keyframes))
+        first_keyframe = self._closer.map.first_keyframe
+        ids = range(first_keyframe, len(self._closer.map.keyframes))
         T_map_camera = (
             self._closer.map.backend.poses() if self._closer.map.keyframes else np.empty(0)
         )
@@ -131,11 +132,14 @@ class MiniSlam:
             np.array(indices, dtype=np.int64),
             n_frames - len(indices),
             len(restored),
-            [replace(k, id=k.id - first) for k in self._closer.map.keyframes[first:]],
-            np.reshape(T_map_camera, (-1, 4, 4))[first:],
+            [
+                replace(k, id=k.id - first_keyframe)
+                for k in self._closer.map.keyframes[first_keyframe:]
+            ],
+            np.reshape(T_map_camera, (-1, 4, 4))[first_keyframe:],
             of_session(loops, ids),
             of_session(self._closer.map.loops_left_out, ids),
-            sum(loop.match_id < first <= loop.query_id for loop in loops),
+            sum(loop.match_id < first_keyframe <= loop.query_id for loop in loops),
         )
 
 

@@ -7,6 +7,7 @@ so a killed run loses at most the keyframe being written. A closed map is a sing
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -74,6 +75,12 @@ class Session:
     version: str = ""
     max_frames: int | None = None
     is_finished: bool = False
+
+    @property
+    def first_frame(self) -> int:
+        """The number, in the whole sequence, of the first frame of a slice ``name[A:B]``."""
+        match = re.search(r"\[(\d+):\d+\]$", self.sequence)
+        return int(match[1]) if match else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,6 +32,7 @@ Quaternion = tuple[float, float, float, float]
 class KeyframeInfo:
     """A keyframe of a map.
 
+    ``frame_index`` counts in the whole sequence, also where the run took a slice of it.
     ``translation_m`` and ``quaternion_xyzw`` are the camera's pose in ``frame``: "map", or "odom"
     while the keyframe has no optimised pose. ``scene`` is the label of the keyframe's image alone,
     with the ``probabilities`` of all labels, most likely first. ``smoothed`` is the label that
@@ -145,8 +146,17 @@ def query_keyframes(
     if component is not None or near_m is not None:
         inside = choose_component(store, component)
         rows = [row for row in rows if inside[row["id"]]]
+    first_frames = {session.id: session.first_frame for session in store.sessions()}
     records = [
-        _keyframe_info(store, row, int(components[row["id"]]), time_s, near_m) for row in rows
+        _keyframe_info(
+            store,
+            row,
+            first_frame=first_frames[row["session"]],
+            component=int(components[row["id"]]),
+            time_s=time_s,
+            near_m=near_m,
+        )
+        for row in rows
     ]
     if time_s is not None:
         records.sort(key=lambda record: record.apart_s or 0.0)
@@ -220,6 +230,8 @@ def _check_scene(store: MapStore, scene: str | None) -> None:
 def _keyframe_info(
     store: MapStore,
     row: Any,
+    *,
+    first_frame: int,
     component: int,
     time_s: float | None,
     near_m: Sequence[float] | None,
@@ -232,7 +244,7 @@ def _keyframe_info(
         probabilities = dict(sorted(pairs, key=lambda pair: -pair[1]))
     return KeyframeInfo(
         id=row["id"],
-        frame_index=row["frame_index"],
+        frame_index=first_frame + row["frame_index"],
         stamp_s=row["stamp_s"],
         scene=row["scene"],
         scene_probability=row["scene_probability"],

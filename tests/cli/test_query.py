@@ -115,14 +115,16 @@ def two_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path) -> None:
     image, trained = two_kinds / "wide.png", two_kinds / "two.bof"
-    answer = json.loads(slam_bof("query", image, "--model", trained, "--json").stdout)
+    assert "wide.png: found no intrinsics.json beside it, expected --intrinsics FX FY CX CY" in (
+        refusal("query", image, "--model", trained)
+    )
+    own = ("--intrinsics", 146.25, 146.25, 80, 60)
+    answer = json.loads(slam_bof("query", image, "--model", trained, *own, "--json").stdout)
     assert set(answer["probabilities"]) == {"narrow", "wide"}
     assert answer["label"] == max(answer["probabilities"], key=answer["probabilities"].get)
     assert sum(answer["probabilities"].values()) == pytest.approx(1.0)
-    assert answer["intrinsics"]["fx"] == 146.25
-    assert answer["intrinsics_from"].startswith("assumed, a Kinect's; found no intrinsics.json")
-    table = slam_bof("query", image, "--model", trained).stdout
-    assert "(intrinsics 146.25 146.25 80 60: assumed" in table
+    table = slam_bof("query", image, "--model", trained, *own).stdout
+    assert "(intrinsics 146.25 146.25 80 60: as given" in table
 
     given = ("--intrinsics", 200, 201, 80, 60)
     answer = json.loads(slam_bof("query", image, "--model", trained, *given, "--json").stdout)
@@ -136,8 +138,11 @@ def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path)
     assert answer["intrinsics_from"] == f"from {tmp_path / 'intrinsics.json'}"
 
 
+OWN = ("--intrinsics", 146.25, 146.25, 80, 60)
+
+
 def test_too_little_is_unknown(two_kinds: Path) -> None:
-    ask = ("query", two_kinds / "wide.png", "--model", two_kinds / "two.bof", "--json")
+    ask = ("query", two_kinds / "wide.png", "--model", two_kinds / "two.bof", *OWN, "--json")
     answer = json.loads(slam_bof(*ask, "--min-probability", 1.0).stdout)
     assert answer["label"] == "unknown"
 
@@ -146,7 +151,7 @@ def test_units_of_the_image_can_be_given(two_kinds: Path, tmp_path: Path) -> Non
     depth = cv2.imread(str(two_kinds / "wide.png"), cv2.IMREAD_UNCHANGED)
     cv2.imwrite(str(tmp_path / "fifths.png"), 5 * depth)
     np.save(tmp_path / "metres.npy", (depth / 1000.0).astype(np.float32))
-    trained = ("--model", two_kinds / "two.bof", "--json")
+    trained = ("--model", two_kinds / "two.bof", *OWN, "--json")
     expected = json.loads(slam_bof("query", two_kinds / "wide.png", *trained).stdout)
     for name, extra in (("fifths.png", ("--depth-scale", 5000)), ("metres.npy", ())):
         answer = json.loads(slam_bof("query", tmp_path / name, *trained, *extra).stdout)
@@ -154,7 +159,7 @@ def test_units_of_the_image_can_be_given(two_kinds: Path, tmp_path: Path) -> Non
 
 
 def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
-    trained = ("--model", two_kinds / "two.bof")
+    trained = ("--model", two_kinds / "two.bof", *OWN)
     assert "none.png: found no such file" in refusal("query", tmp_path / "none.png", *trained)
     cv2.imwrite(str(tmp_path / "color.png"), np.zeros((4, 5, 3), np.uint8))
     assert "found an image 4x5x3 of uint8, expected one channel of uint16" in refusal(
@@ -164,14 +169,14 @@ def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
     assert "found no image that can be read" in refusal("query", tmp_path / "text.png", *trained)
     image = two_kinds / "wide.png"
     assert "--intrinsics: found '1,2', expected FX FY CX CY in pixels" in refusal(
-        "query", image, *trained, "--intrinsics", 1, 2
+        "query", image, *trained[:2], "--intrinsics", 1, 2
     )
     assert slam_bof("query", image, *trained, "--time", 1).exit_code == 2
     assert "none.bof: no such model file" in refusal("query", image, "--model", "none.bof")
     other = tmp_path / "image.png"
     other.write_bytes(image.read_bytes())
     (tmp_path / "intrinsics.json").write_text('{"width": 1}')
-    assert "expected JSON with width, height" in refusal("query", other, *trained)
+    assert "expected JSON with width, height" in refusal("query", other, *trained[:2])
 
 
 def test_tables_call_labels_as_json_does(labelled: Path) -> None:
