@@ -19,10 +19,10 @@ logger = logging.getLogger(__name__)
 def components_of(store: MapStore) -> NDArray[np.int64]:
     """Return the component (K,) of each keyframe, as the loops of the graph connect them."""
     components = MapComponents()
-    for keyframe in store.keyframes():
-        components.add(keyframe.segment)
-    for loop in store.loops():
-        components.join(loop.query_id, loop.match_id)
+    for row in store.select("SELECT segment FROM keyframes ORDER BY id"):
+        components.add(row["segment"])
+    for row in store.select("SELECT query_id, match_id FROM loops"):
+        components.join(row["query_id"], row["match_id"])
     return components.of_keyframes()
 
 
@@ -47,7 +47,8 @@ def choose_component(
         If there is no such component.
     """
     components = components_of(store)
-    wanted = np.array([session in (None, k.session) for k in store.keyframes()], dtype=bool)
+    rows = store.select("SELECT session FROM keyframes ORDER BY id")
+    wanted = np.array([session in (None, row["session"]) for row in rows], dtype=bool)
     known = np.unique(components[wanted]).tolist()
     chosen = largest_component(components[wanted]) if component is None else component
     if component is not None and component not in known:
