@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose, Trajectory
+from slam_bof_plugins.dataset_files import register
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 
 __all__ = ["SevenScenes"]
@@ -219,20 +220,15 @@ def _read_pose(file: Path) -> Pose:
             f"found no rigid transform (R R^T is off by {off:.3g}, det R = {determinant:.3g}, "
             f"last row {T[3].tolist()}), expected a pose"
         )
-    return se3.pose(se3.nearest_rotation(R), T[:3, 3])
+    return se3.nearest_pose(T)
 
 
 def _register(rgb: NDArray[np.uint8], frame: DepthFrame) -> NDArray[np.uint8]:
-    """Look up each depth pixel's colour: the two cameras stand side by side, axes parallel."""
-    depth, camera = frame.intrinsics, _camera(COLOR_FOCAL_PX, rgb.shape[1], rgb.shape[0])
+    """Return the colour of each depth pixel: the cameras stand side by side, axes parallel."""
+    camera = _camera(COLOR_FOCAL_PX, rgb.shape[1], rgb.shape[0])
     z_m: Array = frame.depth_m().astype(np.float64)
-    # Without a depth, the direction alone decides, as if the point were far away.
+    # The parallax of a pixel without depth is that of a point far away.
     parallax_px = np.divide(
         camera.fx * T_COLOR_DEPTH_X_M, z_m, out=np.zeros_like(z_m), where=z_m > 0
     )
-    columns = (np.arange(depth.width) - depth.cx) / depth.fx * camera.fx + camera.cx
-    rows = (np.arange(depth.height) - depth.cy) / depth.fy * camera.fy + camera.cy
-    u = (columns + parallax_px).astype(np.float32)
-    v = np.broadcast_to(rows[:, None].astype(np.float32), u.shape)
-    registered = cv2.remap(rgb, u, np.ascontiguousarray(v), cv2.INTER_LINEAR)
-    return np.asarray(registered, dtype=np.uint8)
+    return register(rgb, camera, frame.intrinsics, parallax_px)

@@ -185,4 +185,4 @@ def _pose(words: list[str]) -> Pose:
         raise ValueError(f"found {len(words)} numbers, expected 16: a pose")
     T = np.array([float(word) for word in words]).reshape(4, 4)
     se3.check_rigid(T)
-    return se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+    return se3.nearest_pose(T)

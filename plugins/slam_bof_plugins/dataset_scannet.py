@@ -137,7 +137,7 @@ def _groundtruth(sens: SensFile, stamps_s: Array) -> Trajectory | None:
         T = poses[index].copy()
         try:
             se3.check_rigid(T)
-            poses[index] = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+            poses[index] = se3.nearest_pose(T)
         except ValueError as error:
             problems.append(f"frame {index}: {error}")
             poses[index] = np.nan

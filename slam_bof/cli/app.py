@@ -89,7 +89,7 @@ class ShowWarnings(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
-        self.addFilter(lambda record: record.name != "slam_bof.run.run")
+        self.addFilter(lambda record: record.name != "slam_bof.run.logging_observer")
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning in one line."""

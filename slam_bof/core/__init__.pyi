@@ -1,7 +1,6 @@
 from . import registry as registry
 from .arrays import (
     GrowingArray as GrowingArray,
-    thread_buffer as thread_buffer,
 )
 from .failures import keep_going as keep_going
 from .native_libraries import (

@@ -117,8 +117,8 @@ def save(model: Model, path: str | Path) -> None:
     os.replace(unfinished, path)
 
 
-def resolve(name: str | Path = DEFAULT) -> Model:
-    """Read a model by name: ``default``, which comes with slam_bof, or the path of a file.
+def resolve(name: str | Path | None = None) -> Model:
+    """Read a model by name: the path of a file, or ``default`` or None for that of slam_bof.
 
     The default model was trained on synthetic rooms only.
 
@@ -127,7 +127,7 @@ def resolve(name: str | Path = DEFAULT) -> Model:
     ModelError
         As ``load``.
     """
-    if name != DEFAULT:
+    if name not in (None, DEFAULT):
         return load(name)
     file = resources.files("slam_bof") / "data" / "default.bof"
     if not file.is_file():

@@ -39,7 +39,7 @@ from .scene import (
     Scene3D as Scene3D,
 )
 from .sensor import (
-    SensorParams as SensorParams,
+    SensorModelParams as SensorModelParams,
     sense as sense,
 )
 from .tour import (

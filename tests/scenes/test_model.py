@@ -258,7 +258,7 @@ def test_the_default_model_knows_synthetic_rooms_only():
     assert len(model.bag_classifier.classes_) >= 4
 
 
-def test_the_default_model_tells_rooms_it_has_not_seen():
+def test_the_default_model_labels_unseen_rooms():
     labeller = models.resolve().labeller()
     views = [(kind, f) for kind in ("bathroom", "corridor") for f in training_views(kind, 590, 3)]
     together = {kind: np.zeros(len(ROOM_KINDS)) for kind, _ in views}
