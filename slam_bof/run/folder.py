@@ -84,16 +84,21 @@ def logging_to(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt as interruption:
-        logger.warning("interrupted: %s", interruption)
+        _write(handler, logging.WARNING, f"interrupted: {interruption}")
         raise
     except BaseException as error:
-        logger.error("failed: %s: %s", type(error).__name__, error)
+        _write(handler, logging.ERROR, f"failed: {type(error).__name__}: {error}")
         raise
     finally:
         root.removeHandler(handler)
         for package, level in zip(packages, levels, strict=True):
             package.setLevel(level)
         handler.close()
+
+
+def _write(handler: logging.Handler, level: int, message: str) -> None:
+    """Write a line to one log alone: the user is told of the error itself."""
+    handler.handle(logging.LogRecord(__name__, level, __file__, 0, message, None, None))
 
 
 def link_map(folder: Path, map_file: Path) -> None:
