@@ -28,7 +28,9 @@ def demo(
     with Bar("Making a flat", quiet=quiet) as bar:
         sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
     config = configs.preset("indoor").model_copy(update={"seed": seed})
-    run_new(sequence, config, out, max_frames=max_frames, quiet=quiet, as_json=as_json)
+    run_new(
+        sequence, config, out, max_frames=max_frames, with_color=True, quiet=quiet, as_json=as_json
+    )
 
 
 def _cache() -> Path:

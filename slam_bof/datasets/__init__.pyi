@@ -1,5 +1,6 @@
 from . import download as download
 from .depth_images import (
+    CAMERA_FILE as CAMERA_FILE,
     is_image as is_image,
     read_depth_image as read_depth_image,
 )
@@ -20,6 +21,7 @@ from .labelled_frames import (
     read_split as read_split,
     sequence_names as sequence_names,
 )
+from .plausibility import find_doubts as find_doubts
 from .realsense import (
     RealSense as RealSense,
 )
@@ -31,6 +33,7 @@ from .recording import (
 )
 from .sequence_slice import (
     SequenceSlice as SequenceSlice,
+    first_frame as first_frame,
 )
 from .synchroniser import (
     FramePoseSynchroniser as FramePoseSynchroniser,

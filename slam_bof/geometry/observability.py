@@ -20,7 +20,7 @@ __all__ = ["PrincipalDirections", "open_directions", "search_weak_directions"]
 
 MAX_WEAK_INFORMATION = 0.04
 """Share of the points' information below which a direction is weakly held."""
-MIN_INFORMATION = 0.001
+MIN_INFORMATION = 0.003
 """A direction with a smaller share is open: alignment by planes cannot move a view along it."""
 SHIFT_M = 0.1
 """Views are shifted by this distance to measure how far their agreement drops."""
