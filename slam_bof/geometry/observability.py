@@ -1,9 +1,9 @@
 """Which directions of a relative pose the surfaces hold, and whether there is a better pose nearby.
 
-The eigenvalues of the point-to-plane equations answer this only in part: they know nothing of other
-minima, and what the noise of normals leaves of them depends on the sensor. So one view is also
-shifted by 0.1 m either way along each weakly held direction. If the views agree as well as before,
-the direction is open: an alignment says nothing along it.
+The eigenvalues of the point-to-plane equations do not answer this: they know nothing of other
+minima, and nothing of what depth edges hold. Instead, one view is shifted by 0.1 m either way along
+each weakly held direction. If the views agree as well as before, the direction is open: an
+alignment says nothing along it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,10 @@ __all__ = ["PrincipalDirections", "open_directions", "search_weak_directions"]
 
 MAX_WEAK_INFORMATION = 0.04
 """Share of the points' information below which a direction is weakly held."""
-MIN_INFORMATION = 0.003
-"""A direction with a smaller share is open: alignment by planes cannot move a view along it."""
 SHIFT_M = 0.1
 """Views are shifted by this distance to measure how far their agreement drops."""
 MIN_SCORE_DROP = 0.02
-"""A direction is also open if agreement drops by less, whichever way the view is shifted."""
+"""A direction is open if agreement drops by less than this, whichever way the view is shifted."""
 MIN_SCORE_GAIN = 0.01
 """Another pose must agree better by this much to be preferred."""
 MIN_VISIBLE_SHARE = 0.8
@@ -134,8 +132,7 @@ def open_directions(
     tried = np.concatenate([T_match_query[None], T_match_query @ directions.displace(shifts)])
     score = aligner.agreement_score(query, np.full(len(tried), match), tried).score
     drop = (score[0] - score[1:]).reshape(2, -1).max(axis=0)
-    information = directions.information[: weak.shape[1]]
-    return directions, weak[:, (drop < MIN_SCORE_DROP) | (information < MIN_INFORMATION)]
+    return directions, weak[:, drop < MIN_SCORE_DROP]
 
 
 def search_weak_directions(

@@ -23,6 +23,7 @@ class CentroidVerifier:
     overlap: float = 0.9
     turn_rad: float = 0.0
     information: np.ndarray = field(default_factory=lambda: np.eye(6))
+    n_open: int = 0
 
     def prepare(self, frame, points_camera):
         return points_camera.mean(axis=0)
@@ -35,7 +36,13 @@ class CentroidVerifier:
         T[:3, 3] = match - query
         accepted = self.overlap > 0.5
         return Verification(
-            accepted, "" if accepted else "too little", T, self.overlap, 0.01, self.information
+            accepted,
+            "" if accepted else "too little",
+            T,
+            self.overlap,
+            0.01,
+            self.information,
+            self.n_open,
         )
 
 
@@ -136,3 +143,20 @@ def test_a_lonely_loop_is_held():
     judged, loops = verify(CentroidVerifier(), candidate(), params=VerificationParams())
     assert judged.decision == "held"
     assert loops == []
+
+
+@pytest.mark.parametrize("source", ["bag", "view"])
+def test_a_loop_needs_all_directions(source):
+    decision = "accepted" if source == "view" else ""
+    candidate = Candidate(2, 0, source, decision=decision)
+    judged, admitted = verify(CentroidVerifier(n_open=2), candidate)
+    assert judged.decision == "rejected"
+    assert "leave 2 of 6 directions open" in judged.reason
+    assert admitted == []
+
+
+def test_a_neighbour_with_open_directions_is_a_partial_edge():
+    candidate = Candidate(2, 0, "proximity", "covisibility")
+    judged, (edge,) = verify(CentroidVerifier(n_open=1), candidate)
+    assert judged.decision == "accepted"
+    assert judged.kind == edge.kind == "partial"

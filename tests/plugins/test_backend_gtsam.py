@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
-from slam_bof.types import Bag, Keyframe, Loop
+from slam_bof.types import Bag, CandidateSource, EdgeKind, Keyframe, Loop
 from slam_bof_plugins.backend_gtsam import GtsamBackend, GtsamParams
 
 N = 24
@@ -290,3 +290,40 @@ def test_the_graph_goes_on_from_its_optimum_without_the_loops_left_out(drifted):
     np.testing.assert_allclose(
         backend.poses()[-1], optimum[-1] @ np.linalg.matrix_power(step, 3), atol=2e-3
     )
+
+
+def test_a_step_of_known_covariance_holds_against_a_loop_as_far_as_it_says():
+    """A loop claims 0.1 m more than three steps of known or of unknown covariance add up to."""
+    moved_m = []
+    for covariance in (None, 1e-8 * np.eye(6)):
+        backend = GtsamBackend()
+        for k in range(4):
+            T = np.eye(4)
+            T[0, 3] = k
+            keyframe = Keyframe(k, k, float(k), T, EMPTY, None, step_covariance=covariance)
+            backend.add_keyframe(keyframe)
+        T_loop = np.eye(4)
+        T_loop[0, 3] = 3.1
+        kind, source = EdgeKind.LOOP, CandidateSource.VIEW
+        backend.add_loop(Loop(3, 0, T_loop, 1000.0 * np.eye(6), kind, source))
+        backend.update()
+        moved_m.append(backend.poses()[3][0, 3] - 3.0)
+    assert moved_m[0] > 0.04
+    assert abs(moved_m[1]) < 0.002
+
+
+def test_what_a_partial_edge_leaves_open_speaks_against_nothing():
+    """Along z the edge is off by half a metre, and says by its information that it does not know."""
+    backend = GtsamBackend()
+    for k in range(4):
+        T = np.eye(4)
+        T[2, 3] = k
+        backend.add_keyframe(Keyframe(k, k, float(k), T, EMPTY, None))
+    T_partial = np.eye(4)
+    T_partial[2, 3] = 2.5
+    information = np.diag([1e3, 1e3, 1e3, 1e3, 1e3, 1e-3])
+    kind, source = EdgeKind.PARTIAL, CandidateSource.PROXIMITY
+    backend.add_loop(Loop(3, 0, T_partial, information, kind, source))
+    backend.update()
+    assert backend.optimize() == pytest.approx([1.0])
+    assert backend.poses()[3][2, 3] == pytest.approx(3.0, abs=1e-3)

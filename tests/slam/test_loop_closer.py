@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam_bof.bof import LayerParams, PlaceParams, descriptors
-from slam_bof.errors import ConfigError
+from slam_bof.errors import ConfigError, FrameError
 from slam_bof.geometry import se3
 from slam_bof.scenes import TrainingFrame, model as models, train_model
 from slam_bof.slam import LoopCloser, preset
@@ -110,3 +110,40 @@ def test_a_preset_is_named_where_a_configuration_is_expected(tmp_path):
     assert LoopCloser.from_config(tmp_path / "my.yaml")._selector.params.policy == "every"
     with pytest.raises(ConfigError, match="no preset 'outdoor'"):
         LoopCloser.from_config("outdoor")
+
+
+@pytest.mark.parametrize(
+    ("covariance", "message"),
+    [
+        (np.eye(3), r"found an array \(3, 3\), expected \(6, 6\)"),
+        (np.diag([1.0, 1.0, np.nan, 1.0, 1.0, 1.0]), "36 finite numbers"),
+        (np.triu(np.ones((6, 6))), "symmetric"),
+        (np.diag([1.0, 1.0, -1.0, 1.0, 1.0, 1.0]), "no negative variance"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused_and_the_frame_is_ignored(look, covariance, message):
+    closer = LoopCloser.from_preset()
+    frame = look(np.eye(4), 0)
+    with pytest.raises(FrameError, match=message):
+        closer.process(frame, np.eye(4), covariance)
+    assert closer.process(frame, np.eye(4), np.zeros(36)).keyframe is not None
+
+
+def test_the_covariance_of_a_keyframe_adds_up_since_the_one_before(look, standpoint):
+    """Translation comes first in the argument, as in nav_msgs/Odometry, and rotation in the map."""
+    T_world_first = np.eye(4)
+    T_world_first[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T_world_first[:3, 3] = [*standpoint, 1.3]
+    covariance = np.diag([4e-10, 4e-10, 4e-10, 1e-10, 1e-10, 1e-10])
+    closer = LoopCloser.from_preset()
+    for k in range(12):
+        T = se3.exp(np.array([0.0, 0.04 * k, 0.0, 0.0, 0.0, 0.0]))
+        step = closer.process(look(T_world_first @ T, k), T, covariance)
+    first, second = closer.map.keyframes[:2]
+    n_frames = second.frame_index - first.frame_index
+    variances = np.diag(second.step_covariance)
+    assert step.health == "tracked"
+    assert variances[:3] == pytest.approx(n_frames * 1e-10, rel=0.01)
+    assert variances[3:] == pytest.approx(n_frames * 4e-10, rel=0.01)
+    saved = closer.history.frames[second.frame_index].step_covariance
+    assert saved is second.step_covariance

@@ -171,6 +171,15 @@ def test_the_frames_after_the_last_keyframe_come_with_the_end(filled: MapStore) 
         assert [frame.segment for frame in filled.frames(0)[21:]] == [-1] * n
 
 
+def test_the_covariance_of_a_step_is_kept_with_its_frame(filled: MapStore) -> None:
+    T, covariance = np.eye(4), np.diag([1e-6, 2e-6, 3e-6, 1e-4, 2e-4, 3e-4])
+    frames = [FramePose(1.0, T, T, 0), FramePose(2.0, T, T, 0, step_covariance=covariance)]
+    finish(filled, frames=frames)
+    without, found = filled.frames(0)[21:]
+    assert without.step_covariance is None
+    np.testing.assert_array_equal(found.step_covariance, covariance)
+
+
 def test_parameters(filled: MapStore) -> None:
     filled.set_parameters({"seed": 3, "dataset": "7scenes", "model": None})
     filled.set_parameters({"seed": 4})
