@@ -91,7 +91,7 @@ def query(
     ] = False,
     loops: Annotated[bool, typer.Option("--loops", help="Print loops instead.")] = False,
     model: Annotated[
-        str | None, typer.Option(help="For an IMAGE: the model file, or default.")
+        str | None, typer.Option(help="For an IMAGE: the model file, default or synthetic.")
     ] = None,
     intrinsics: INTRINSICS = None,
     depth_scale: DEPTH_SCALE = None,

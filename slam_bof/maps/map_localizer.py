@@ -87,7 +87,8 @@ class MapLocalizer:
                     "expected a finished one: resume it first"
                 )
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
-            model = models.resolve(config.model)
+            made_with = store.parameters().get("model")
+            model = models.resolve(models.name_by_hash(config.model, made_with))
             components = components_of(store)
             largest = np.flatnonzero(components == np.bincount(components).argmax())
             localizer = Localizer(

@@ -16,7 +16,7 @@ from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
-from slam_bof.scenes import label_map
+from slam_bof.scenes import label_map, model as models
 from slam_bof.slam import (
     Config,
     LoopCloser,
@@ -118,6 +118,9 @@ def run_sequence(
         If the model, a plug-in, the data set or the map is missing or unusable.
     """
     config = configs.complete(config)
+    if map_file is not None and map_file.exists():
+        with MapStore.open(map_file) as earlier:
+            config = _with_model_of(earlier, config)
     job = _Job.prepare(dataset, config, observer, max_frames)
     with ExitStack() as stack:
         store = None
@@ -184,6 +187,7 @@ def resume_sequence(
                 f"{' '.join(found)}"
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
+        config = _with_model_of(store, config)
         job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
         _check_ready(store, dataset, job.closer.map.model_hash, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
@@ -296,6 +300,12 @@ def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: b
     if is_new:
         store.set_parameters({"model": closer.map.model_hash})
         store.begin_session(session)
+
+
+def _with_model_of(store: MapStore, config: Config) -> Config:
+    """Return the configuration with the model that the map was made with, if it is included."""
+    name = models.name_by_hash(config.model, store.parameters().get("model"))
+    return config.model_copy(update={"model": name})
 
 
 def _check_ready(store: MapStore, dataset: Dataset, model: str, *, is_new: bool = True) -> None:

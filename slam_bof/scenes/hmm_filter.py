@@ -3,7 +3,9 @@
 The hidden state is the scene that the camera is in. From one keyframe to the next it changes with
 a probability that grows with the time and the distance between them; all other scenes are then
 equally likely. A keyframe's likelihood is the classifier's probability to a power below 1, since
-neighbouring keyframes are similar and their errors are correlated.
+neighbouring keyframes are similar and their errors are correlated. Where viewing directions are
+known, the probabilities that result are tempered by how much of the views was new
+(``view_novelty``), so that looking at the same wall again makes no label more certain.
 
 A keyframe shows what lies ahead of the camera, so a walking camera sees the next room early. The
 filter treats that as evidence of where the camera stands; its slow reaction compensates. When the
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from slam_bof.scenes.view_novelty import PATH_M, novelty, temper
 from slam_bof.types import Array, Params, Scene
 
 __all__ = [
@@ -57,6 +60,12 @@ class SceneFilterParams(Params):
         description="Exponent of a keyframe's probabilities when all keyframes are smoothed at "
         "the end of the run.",
     )
+    novelty_exponent: float = Field(
+        1.5,
+        gt=0,
+        description="Smoothed probabilities are raised to this number times the mean share of the "
+        "views along the path that was new, but at most to the power of 1.",
+    )
     look_ahead_m: float = Field(
         1.0,
         ge=0,
@@ -96,9 +105,18 @@ class SceneFilter:
         self._stamp_s = 0.0
         self._position_m = np.zeros(3)
         self._segment = 0
+        self._seen_m: list[Array] = []
+        self._axes: list[Array] = []
+        self._new, self._total = 0.0, 0.0
 
     def update(
-        self, scene: Scene, stamp_s: float, position_m: ArrayLike, *, segment: int = 0
+        self,
+        scene: Scene,
+        stamp_s: float,
+        position_m: ArrayLike,
+        *,
+        axis: ArrayLike | None = None,
+        segment: int = 0,
     ) -> Scene:
         """Update the belief with a keyframe, and return its filtered label.
 
@@ -108,6 +126,9 @@ class SceneFilter:
             The keyframe's own label, with the same classes every time.
         stamp_s, position_m
             Time and position (3,) of the keyframe, in one fixed frame.
+        axis
+            (3,) unit vector of the viewing direction in that frame. With it, the label is only as
+            certain as new views make it.
         segment
             Number of the odometry segment. Positions of different segments are not comparable.
         """
@@ -122,8 +143,25 @@ class SceneFilter:
             change = change_probability(stamp_s - self._stamp_s, distance_m, self._params)
             belief = likelihood * predict(self._belief, change)
         self._belief = belief / belief.sum()
+        probabilities = self._belief
+        if axis is not None:
+            new = self._mean_novelty(position_m, np.asarray(axis, dtype=np.float64), segment)
+            probabilities = temper(self._belief, self._params.novelty_exponent * new)
         self._stamp_s, self._position_m, self._segment = stamp_s, position_m, segment
-        return most_probable_scene(self._belief, scene.classes, self._params.min_probability)
+        return most_probable_scene(probabilities, scene.classes, self._params.min_probability)
+
+    def _mean_novelty(self, position_m: Array, axis: Array, segment: int) -> float:
+        """Return how much of the last views was new, with this one, and remember it."""
+        if segment != self._segment:
+            self._seen_m, self._axes = [], []
+        step_m = float(np.linalg.norm(position_m - self._seen_m[-1])) if self._seen_m else 0.0
+        decay = np.exp(-step_m / PATH_M) if np.isfinite(step_m) else 1.0
+        seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
+        self._new = decay * self._new + novelty(position_m, axis, seen_m, axes)
+        self._total = decay * self._total + 1.0
+        self._seen_m.append(position_m)
+        self._axes.append(axis)
+        return self._new / self._total
 
 
 def most_probable_scene(

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.bof import Vocabulary
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
-from slam_bof.scenes.hmm_filter import UNKNOWN_LABEL
 from slam_bof.scenes.levelled_cloud import levelled_cloud
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
@@ -74,9 +73,6 @@ class LevelledClassifier:
         seed: int = 0,
     ) -> Self:
         """Learn a vocabulary and a network.
-
-        A class named ``unknown`` holds views that show none of the others: what the network
-        gives it is spread evenly over the others, so that such a view says little.
 
         Parameters
         ----------
@@ -183,13 +179,8 @@ class LevelledClassifier:
     def label_features(self, features: LevelledFeatures) -> Scene:
         """Return the scene by the features of a frame."""
         probabilities = self.network.probabilities(self.feature_vector(features)[None])[0]
-        classes = tuple(str(label) for label in self.network.classes_)
-        if UNKNOWN_LABEL in classes:
-            k = classes.index(UNKNOWN_LABEL)
-            classes = classes[:k] + classes[k + 1 :]
-            p_unknown, others = probabilities[k], np.delete(probabilities, k)
-            probabilities = others + p_unknown / len(others)
         best = int(probabilities.argmax())
+        classes = tuple(str(label) for label in self.network.classes_)
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
 
 

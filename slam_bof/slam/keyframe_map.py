@@ -186,7 +186,11 @@ class KeyframeMap:
             if self._labeller is not None:
                 scene = self._labeller.label(frame, gravity_camera=gravity_camera, bag=bag)
                 smoothed = self._scene_filter.update(
-                    scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
+                    scene,
+                    frame.stamp_s,
+                    T_odom_camera[:3, 3],
+                    axis=T_odom_camera[:3, 2],
+                    segment=segment,
                 )
         keyframe = Keyframe(
             id=len(self),
@@ -226,9 +230,13 @@ class KeyframeMap:
         """Replay a saved keyframe: restore labels, index and graph without searching again."""
         keyframe, frame = record.keyframe, restore_frame(record.depth, record.keyframe.stamp_s)
         if keyframe.scene is not None:
-            position_m = keyframe.T_odom_camera[:3, 3]
+            T_odom_camera = keyframe.T_odom_camera
             self._scene_filter.update(
-                keyframe.scene, keyframe.stamp_s, position_m, segment=keyframe.segment
+                keyframe.scene,
+                keyframe.stamp_s,
+                T_odom_camera[:3, 3],
+                axis=T_odom_camera[:3, 2],
+                segment=keyframe.segment,
             )
         self.keyframes.append(keyframe)
         self._detector.remember(keyframe, frame, record.candidates)
