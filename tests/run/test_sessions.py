@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sqlite3
 from dataclasses import replace
 
 import cv2
@@ -206,22 +205,22 @@ def test_localize_by_the_command_line(joined, sequences, tmp_path):
     assert "none.db: found no file, expected a map.db" in missing.stderr
 
 
-def test_a_map_of_an_earlier_default_model_keeps_its_model(sequences, tmp_path):
+def test_a_map_of_an_earlier_default_model_keeps_its_model(sequences, tmp_path, monkeypatch):
     first, second = sequences
     map_file = tmp_path / "old.db"
-    run_sequence(first, override(QUICK, ["model=synthetic"]), tmp_path, map_file=map_file)
-    made_with = models.resolve("synthetic").content_hash
-    assert made_with != models.resolve("default").content_hash
-    with sqlite3.connect(map_file) as database:
-        # As a version wrote it whose default was today's synthetic model.
-        database.execute(
-            "UPDATE sessions SET config = replace(config, 'model: synthetic', 'model: default')"
-        )
-    classes = set(models.resolve("synthetic").levelled_classifier.network.classes_)
+    earlier = models.resolve("synthetic")
+    with monkeypatch.context() as patch:
+        # A version whose default was today's synthetic model.
+        patch.setattr(models, "resolve", lambda name: earlier)
+        run_sequence(first, QUICK, tmp_path, map_file=map_file)
+    with MapStore.open(map_file) as store:
+        assert "model: default" in store.sessions()[0].config
+    assert earlier.content_hash != models.resolve("default").content_hash
+    classes = set(earlier.levelled_classifier.network.classes_)
     found = MapLocalizer.open(map_file).localize(second.frame(0))
     assert set(found.scene.classes) == classes
     run_sequence(second, QUICK, tmp_path, map_file=map_file)
     with MapStore.open(map_file) as store:
-        assert store.parameters()["model"] == made_with
+        assert store.parameters()["model"] == earlier.content_hash
         assert len(store.sessions()) == 2
         assert {name for k in store.keyframes() for name in k.scene.classes} == classes
