@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from slam_bof.scenes.view_novelty import PATH_M, novelty, temper
+from slam_bof.scenes.view_novelty import PATH_M, novelty, power, temper
 from slam_bof.types import Array, Params, Scene
 
 __all__ = [
@@ -60,11 +60,12 @@ class SceneFilterParams(Params):
         description="Exponent of a keyframe's probabilities when all keyframes are smoothed at "
         "the end of the run.",
     )
-    novelty_exponent: float = Field(
-        1.5,
-        gt=0,
-        description="Smoothed probabilities are raised to this number times the mean share of the "
-        "views along the path that was new, but at most to the power of 1.",
+    new_view_weight: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="Weight of a view that shows something new of a place against the first view "
+        "of it, for the certainty of smoothed labels. Views of what was seen before add nothing.",
     )
     look_ahead_m: float = Field(
         1.0,
@@ -107,7 +108,7 @@ class SceneFilter:
         self._segment = 0
         self._seen_m: list[Array] = []
         self._axes: list[Array] = []
-        self._new, self._total = 0.0, 0.0
+        self._n_new, self._n_views = np.zeros(()), np.zeros(())
 
     def update(
         self,
@@ -145,23 +146,23 @@ class SceneFilter:
         self._belief = belief / belief.sum()
         probabilities = self._belief
         if axis is not None:
-            new = self._mean_novelty(position_m, np.asarray(axis, dtype=np.float64), segment)
-            probabilities = temper(self._belief, self._params.novelty_exponent * new)
+            self._count(position_m, np.asarray(axis, dtype=np.float64), segment)
+            powers = power(self._n_new, self._n_views, exponent, self._params.new_view_weight)
+            probabilities = temper(self._belief, powers)
         self._stamp_s, self._position_m, self._segment = stamp_s, position_m, segment
         return most_probable_scene(probabilities, scene.classes, self._params.min_probability)
 
-    def _mean_novelty(self, position_m: Array, axis: Array, segment: int) -> float:
-        """Return how much of the last views was new, with this one, and remember it."""
+    def _count(self, position_m: Array, axis: Array, segment: int) -> None:
+        """Add a view, and what of it is new, to those of the last metres of the path."""
         if segment != self._segment:
             self._seen_m, self._axes = [], []
         step_m = float(np.linalg.norm(position_m - self._seen_m[-1])) if self._seen_m else 0.0
         decay = np.exp(-step_m / PATH_M) if np.isfinite(step_m) else 1.0
         seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
-        self._new = decay * self._new + novelty(position_m, axis, seen_m, axes)
-        self._total = decay * self._total + 1.0
+        self._n_new = decay * self._n_new + novelty(position_m, axis, seen_m, axes)
+        self._n_views = decay * self._n_views + 1.0
         self._seen_m.append(position_m)
         self._axes.append(axis)
-        return self._new / self._total
 
 
 def most_probable_scene(

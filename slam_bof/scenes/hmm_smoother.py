@@ -21,7 +21,7 @@ from slam_bof.scenes.hmm_filter import (
     predict,
     weighted_log_likelihood,
 )
-from slam_bof.scenes.view_novelty import novelties, path_means, temper
+from slam_bof.scenes.view_novelty import novelties, path_sums, power, temper
 from slam_bof.types import Array, Scene
 
 __all__ = ["place_evidence", "smooth"]
@@ -94,7 +94,9 @@ def smooth(
     beliefs = _forward_backward(np.exp(logs), np.maximum(changes, MIN_CHANGE))
     if axes is not None:
         new = novelties(positions_m, np.asarray(axes, dtype=np.float64), where)
-        beliefs = temper(beliefs, params.novelty_exponent * path_means(new, distances_m))
+        n_new, n_views = path_sums(np.stack([new, np.ones_like(new)]).T, distances_m).T
+        exponent = params.smoothing_evidence_exponent
+        beliefs = temper(beliefs, power(n_new, n_views, exponent, params.new_view_weight))
     pairs = zip(beliefs, scenes, strict=True)
     return [
         most_probable_scene(belief, scene.classes, params.min_probability)

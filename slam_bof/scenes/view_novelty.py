@@ -3,7 +3,8 @@
 Neighbouring keyframes see the same surfaces, and a classifier that is wrong about them is wrong
 each time. The hidden Markov model counts every keyframe, which finds the most probable scene; how
 probable that is depends on how many different views there were. Therefore its probabilities are
-raised to a power that is the smaller, the less of the views along the path was new.
+raised to the power at which a hundred views of one wall count as one, and other views of the same
+place, which share its errors too, count a little more.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from slam_bof.types import Array
 
-__all__ = ["PATH_M", "novelties", "novelty", "path_means", "temper"]
+__all__ = ["PATH_M", "novelties", "novelty", "path_sums", "power", "temper"]
 
 OVERLAP_M = 1.0
 """Distance between two cameras, with the same viewing direction, at which the overlap of their
@@ -24,7 +25,7 @@ exponentially, so that the sum of novelties along a path does not depend on the 
 UNPLACED_NOVELTY = 0.1
 """Novelty of a view whose position is unknown."""
 PATH_M = 4.0
-"""Novelties are averaged over about this length of the path, in metres."""
+"""Views are counted over about this length of the path, in metres."""
 MIN_PROBABILITY = 1e-12
 
 
@@ -71,35 +72,53 @@ def novelties(positions_m: Array, axes: Array, components: NDArray[np.generic]) 
     return out
 
 
-def path_means(values: Array, steps_m: Array) -> Array:
-    """Return the means (K,) of values (K,) along a path, weighted by exp(-distance / PATH_M).
+def path_sums(values: Array, steps_m: Array) -> Array:
+    """Return the sums (K, ...) of values (K, ...) along a path, weighted by exp(-way / PATH_M).
 
     ``steps_m`` (K - 1,) are the lengths of the path between consecutive values.
 
     Examples
     --------
-    >>> path_means(np.array([1.0, 0.0, 0.0]), np.zeros(2)).round(3).tolist()
-    [0.333, 0.333, 0.333]
-    >>> path_means(np.array([1.0, 0.0]), np.array([100.0])).round(3).tolist()
-    [1.0, 0.0]
+    >>> path_sums(np.array([1.0, 2.0, 3.0]), np.zeros(2)).round(3).tolist()
+    [6.0, 6.0, 6.0]
+    >>> path_sums(np.array([1.0, 2.0]), np.array([100.0])).round(3).tolist()
+    [1.0, 2.0]
     """
     decay = np.exp(-steps_m / PATH_M)
-    both = np.stack([values, np.ones_like(values)], axis=1)
-    before, after = both.copy(), both.copy()
+    before, after = values.copy(), values.copy()
     for k in range(1, len(values)):
         before[k] += decay[k - 1] * before[k - 1]
     for k in range(len(values) - 2, -1, -1):
         after[k] += decay[k] * after[k + 1]
-    sums = before + after - both
-    return np.asarray(sums[:, 0] / sums[:, 1])
+    return np.asarray(before + after - values)
 
 
-def temper(probabilities: Array, power: Array | float) -> Array:
-    """Return probabilities (..., C) to a power (...) of at most 1, scaled to sum to 1.
+def power(n_new: Array, n_views: Array, exponent: float, new_view_weight: float) -> Array:
+    """Return the power (...) that ``temper`` is given.
+
+    Parameters
+    ----------
+    n_new, n_views
+        (...) sums of novelties, and numbers of views, along the path.
+    exponent
+        The power to which the hidden Markov model has raised each view's probabilities.
+    new_view_weight
+        Weight of a new view of a place against the first one.
+
+    Examples
+    --------
+    >>> power(np.array([1.0, 5.0]), np.array([100.0, 10.0]), 0.4, 0.25).round(3).tolist()
+    [0.025, 0.5]
+    """
+    n_independent = 1.0 + new_view_weight * np.maximum(n_new - 1.0, 0.0)
+    return np.asarray(np.minimum(n_independent / (exponent * n_views), 1.0))
+
+
+def temper(probabilities: Array, powers: Array | float) -> Array:
+    """Return probabilities (..., C) to the power of ``powers`` (...), scaled to sum to 1.
 
     >>> temper(np.array([0.8, 0.2]), 0.5).round(3).tolist()
     [0.667, 0.333]
     """
-    exponents = np.minimum(power, 1.0)
-    raised = np.maximum(probabilities, MIN_PROBABILITY) ** np.asarray(exponents)[..., None]
+    raised = np.maximum(probabilities, MIN_PROBABILITY) ** np.asarray(powers)[..., None]
     return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
