@@ -113,7 +113,7 @@ def test_every_parameter_that_is_named_exists() -> None:
 
 
 def _is_key(key: str) -> bool:
-    """Tell whether a configuration has the key; options of plug-ins are the plug-ins' own."""
+    """Return whether a configuration has the key; options of plug-ins are the plug-ins' own."""
     part: Any = Config()
     for name in key.split("."):
         if isinstance(part, PluginChoice) and name in ("name", "options"):

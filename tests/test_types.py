@@ -1,4 +1,5 @@
 import dataclasses
+import pickle
 
 import numpy as np
 import pytest
@@ -7,6 +8,10 @@ from pydantic import ValidationError
 from slam_bof.types import Contours, DepthFrame, Intrinsics, Params, Trajectory
 
 CAMERA = Intrinsics(width=3, height=2, fx=100.0, fy=100.0, cx=1.0, cy=1.0)
+
+
+def test_pickles_of_earlier_versions_find_their_class() -> None:
+    assert pickle.loads(b"cslam_bof.types\nIntrinsics\n.") is Intrinsics
 
 
 def test_uint16_depth_is_millimetres_with_two_missing_values() -> None:

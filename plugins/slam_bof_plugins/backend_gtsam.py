@@ -233,7 +233,7 @@ class GtsamBackend:
         return [loop for k, loop in enumerate(self._loops) if k not in left_out]
 
     def _is_news(self, edge: Edge) -> bool:
-        """Tell whether an edge contradicts the estimate by more than the tolerance."""
+        """Return whether an edge contradicts the estimate by more than the tolerance."""
         match, query = self._estimate.atPose3(edge.match), self._estimate.atPose3(edge.query)
         error = gtsam.Pose3.Logmap(edge.measured.between(match.between(query)))
         return bool(np.abs(error).max() > self.params.tolerance)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
+from slam_bof_plugins.dataset_files import register
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 
 __all__ = ["SevenScenes"]
@@ -206,7 +207,7 @@ def _read_poses(files: Sequence[Path]) -> Array:
             f"{files[i]}: found no rigid transform (R R^T is off by {off[i]:.3g}, "
             f"det R = {np.linalg.det(R[i]):.3g}, last row {T[i, 3].tolist()}), expected a pose"
         )
-    return np.array([se3.pose(se3.nearest_rotation(M[:3, :3]), M[:3, 3]) for M in T])
+    return se3.nearest_pose(T)
 
 
 def _read_numbers(file: Path) -> list[float]:
@@ -222,16 +223,11 @@ def _read_numbers(file: Path) -> list[float]:
 
 
 def _register(rgb: NDArray[np.uint8], frame: DepthFrame) -> NDArray[np.uint8]:
-    """Look up each depth pixel's colour: the two cameras stand side by side, axes parallel."""
-    depth, camera = frame.intrinsics, _camera(COLOR_FOCAL_PX, rgb.shape[1], rgb.shape[0])
+    """Return the colour of each depth pixel: the cameras stand side by side, axes parallel."""
+    camera = _camera(COLOR_FOCAL_PX, rgb.shape[1], rgb.shape[0])
     z_m: Array = frame.depth_m().astype(np.float64)
-    # Without a depth, the direction alone decides, as if the point were far away.
+    # The parallax of a pixel without depth is that of a point far away.
     parallax_px = np.divide(
         camera.fx * T_COLOR_DEPTH_X_M, z_m, out=np.zeros_like(z_m), where=z_m > 0
     )
-    columns = (np.arange(depth.width) - depth.cx) / depth.fx * camera.fx + camera.cx
-    rows = (np.arange(depth.height) - depth.cy) / depth.fy * camera.fy + camera.cy
-    u = (columns + parallax_px).astype(np.float32)
-    v = np.broadcast_to(rows[:, None].astype(np.float32), u.shape)
-    registered = cv2.remap(rgb, u, np.ascontiguousarray(v), cv2.INTER_LINEAR)
-    return np.asarray(registered, dtype=np.uint8)
+    return register(rgb, camera, frame.intrinsics, parallax_px)

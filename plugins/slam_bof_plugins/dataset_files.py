@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
+from slam_bof.geometry import nearest_stamps, ray_slopes, se3
 from slam_bof.types import INVALID_DEPTH_MM, Array, Intrinsics, Trajectory
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 
@@ -95,15 +95,23 @@ def read_gray(path: Path | None) -> NDArray[np.uint8] | None:
     return _read_image(path, cv2.IMREAD_GRAYSCALE)
 
 
-def register(rgb: NDArray[np.uint8], camera: Intrinsics, depth: Intrinsics) -> NDArray[np.uint8]:
-    """Look up the colour of each depth pixel, (H, W, 3), of a camera at the same place.
+def register(
+    rgb: NDArray[np.uint8], camera: Intrinsics, depth: Intrinsics, parallax_px: Array | float = 0.0
+) -> NDArray[np.uint8]:
+    """Return the colour of each depth pixel, (H, W, 3), seen by a camera with parallel axes.
 
-    The two look the same way and differ in focal lengths, principal points and sizes only.
+    ``parallax_px`` (H, W) is the shift of a pixel along a row because the cameras stand side by
+    side; it is zero if they stand at the same place.
     """
-    u = (np.arange(depth.width) - depth.cx) / depth.fx * camera.fx + camera.cx
-    v = (np.arange(depth.height) - depth.cy) / depth.fy * camera.fy + camera.cy
-    columns, rows = np.meshgrid(u.astype(np.float32), v.astype(np.float32))
-    return np.asarray(cv2.remap(rgb, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
+    x_per_z, y_per_z = ray_slopes(depth)
+    u = (x_per_z * camera.fx + camera.cx + parallax_px).astype(np.float32)
+    v = (y_per_z * camera.fy + camera.cy).astype(np.float32)
+    shape = (depth.height, depth.width)
+    columns, rows = np.broadcast_to(u, shape), np.broadcast_to(v[:, None], shape)
+    found = cv2.remap(
+        rgb, np.ascontiguousarray(columns), np.ascontiguousarray(rows), cv2.INTER_LINEAR
+    )
+    return np.asarray(found, dtype=np.uint8)
 
 
 def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
@@ -131,13 +139,13 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def check_stamps(stamps_s: Array, where: Path) -> None:
-    """Refuse times (N,) that are not finite or do not grow; ``DatasetError`` names the first."""
+    """Check that times (N,) are finite and strictly increase; ``DatasetError`` names the first."""
     for i in np.flatnonzero(~np.isfinite(stamps_s)).tolist():
         raise DatasetError(f"{where}: found {stamps_s[i]} as time of frame {i}, expected seconds")
     for i in np.flatnonzero(np.diff(stamps_s) <= 0.0).tolist():
         raise DatasetError(
             f"{where}: found frame {i + 1} at {stamps_s[i + 1]:.6f} s after {stamps_s[i]:.6f} s, "
-            "expected times that grow"
+            "expected strictly increasing timestamps"
         )
 
 
@@ -150,13 +158,8 @@ def nearest(stamps_s: Array, wanted_s: Array, tolerance_s: float) -> NDArray[np.
     if len(stamps_s) == 0:
         return np.full(len(wanted_s), -1)
     order = np.argsort(stamps_s, kind="stable")
-    ordered = stamps_s[order]
-    after = np.clip(np.searchsorted(ordered, wanted_s), 0, len(ordered) - 1)
-    before = np.maximum(after - 1, 0)
-    closer = np.abs(ordered[before] - wanted_s) <= np.abs(ordered[after] - wanted_s)
-    best = np.where(closer, before, after)
-    found: NDArray[np.int64] = order[best].astype(np.int64)
-    found[np.abs(ordered[best] - wanted_s) > tolerance_s] = -1
+    found: NDArray[np.int64] = order[nearest_stamps(wanted_s, stamps_s[order])].astype(np.int64)
+    found[np.abs(stamps_s[found] - wanted_s) > tolerance_s] = -1
     return found
 
 

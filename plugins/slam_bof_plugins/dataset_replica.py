@@ -182,4 +182,4 @@ def _pose(where: str, words: list[str]) -> NDArray[np.float64]:
         se3.check_rigid(T)
     except ValueError as error:
         raise DatasetError(f"{where}: {error}, expected 16 numbers: a pose") from None
-    return se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+    return se3.nearest_pose(T)

@@ -138,5 +138,5 @@ def _groundtruth(sens: SensFile, stamps_s: Array) -> Trajectory | None:
         except ValueError as error:
             raise DatasetError(f"{sens.path}: pose of frame {index}: {error}") from None
         T = poses[index]
-        poses[index] = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        poses[index] = se3.nearest_pose(T)
     return None if lost.all() else Trajectory(stamps_s, poses)

@@ -11,7 +11,8 @@ from pydantic import Field
 
 from slam_bof.core import one_cpu, silenced
 from slam_bof.geometry import PointParams, points_camera, se3
-from slam_bof.types import Array, DepthFrame, Params, Pose
+from slam_bof.types import Array, DepthFrame, Pose
+from slam_bof_plugins.odometry_icp import IcpParams
 
 with one_cpu(), silenced():
     from genz_icp.mapping import VoxelHashMap
@@ -30,14 +31,10 @@ with one_cpu(), silenced():
 __all__ = ["GenzIcpOdometry", "GenzIcpParams"]
 
 
-class GenzIcpParams(Params):
-    """What of GenZ-ICP depends on the sensor."""
+class GenzIcpParams(IcpParams):
+    """Parameters of GenZ-ICP that depend on the sensor."""
 
     points: PointParams = PointParams(stride=3, max_range_m=5.0)
-    voxel_size_m: float = Field(0.06, gt=0, description="Side of the map's voxels in metres.")
-    max_points_per_voxel: int = Field(
-        1, gt=0, description="Largest number of points that a voxel of the map keeps."
-    )
     leaf_size_m: float = Field(
         0.09,
         gt=0,
@@ -49,19 +46,6 @@ class GenzIcpParams(Params):
     )
     map_radius_m: float = Field(
         8.0, gt=0, description="Points of the map farther than this many metres are removed."
-    )
-    initial_threshold_m: float = Field(
-        0.1, gt=0, description="Initial correspondence distance in metres."
-    )
-    min_motion_m: float = Field(
-        0.015, gt=0, description="Least motion in metres that adapts the correspondence distance."
-    )
-    max_iterations: int = Field(100, gt=0, description="Largest number of ICP iterations.")
-    convergence: float = Field(
-        1e-4, gt=0, description="ICP stops when the norm of a step (rad and m) is below this."
-    )
-    min_points: int = Field(
-        100, gt=0, description="A frame with fewer points repeats the last pose."
     )
 
 
@@ -112,7 +96,7 @@ class GenzIcpOdometry:
             found = self._registration.align_points_to_map(
                 points, self._map, T_guess, 3.0 * sigma, sigma
             )
-        T = se3.pose(se3.nearest_rotation(found[:3, :3]), found[:3, 3])
+        T = se3.nearest_pose(found)
         self._threshold._update_model_deviation(se3.inverse(T_guess) @ T)
         self._step = se3.inverse(self._T_odom_camera) @ T
         self._T_odom_camera = T

@@ -8,44 +8,28 @@ from kiss_icp.kiss_icp import KissICP
 from pydantic import Field
 
 from slam_bof.geometry import back_project, se3
-from slam_bof.types import DepthFrame, Params, Pose
+from slam_bof.types import DepthFrame, Pose
+from slam_bof_plugins.odometry_icp import IcpParams
 
 __all__ = ["KissIcpOdometry", "KissIcpParams"]
 
 NO_DESKEW = np.array([])
 
 
-class KissIcpParams(Params):
+class KissIcpParams(IcpParams):
     """Parameters of KISS-ICP that depend on the sensor."""
 
     stride: int = Field(
         3, gt=0, description="Every n-th pixel of rows and columns becomes a point."
     )
-    voxel_size_m: float = Field(0.06, gt=0, description="Side of the map's voxels in metres.")
     min_range_m: float = Field(
         0.1, ge=0, description="Depths nearer than this many metres are dropped."
     )
     max_range_m: float = Field(
         5.0, gt=0, description="Depths farther than this many metres are dropped."
     )
-    max_points_per_voxel: int = Field(
-        1, gt=0, description="Largest number of points that a voxel of the map keeps."
-    )
-    initial_threshold_m: float = Field(
-        0.1, gt=0, description="Initial correspondence distance in metres."
-    )
-    min_motion_m: float = Field(
-        0.015, gt=0, description="Least motion in metres that adapts the correspondence distance."
-    )
-    max_iterations: int = Field(100, gt=0, description="Largest number of ICP iterations.")
-    convergence: float = Field(
-        1e-4, gt=0, description="ICP stops when the norm of a step (rad and m) is below this."
-    )
     n_threads: int = Field(
         1, ge=0, description="Number of threads; 0 uses all cores, 1 is often faster."
-    )
-    min_points: int = Field(
-        100, gt=0, description="A frame with fewer points repeats the last pose."
     )
 
 
@@ -88,5 +72,5 @@ class KissIcpOdometry:
         self._kiss_icp.register_frame(points, NO_DESKEW)
         # Thousands of products of rotations drift off SO(3) and GTSAM does not forgive it.
         T = self._kiss_icp.last_pose
-        self._kiss_icp.last_pose = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        self._kiss_icp.last_pose = se3.nearest_pose(T)
         return np.array(self._kiss_icp.last_pose)

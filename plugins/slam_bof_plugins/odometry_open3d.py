@@ -141,7 +141,7 @@ class Open3dOdometry:
         T = T_odom_reference @ found.transformation.numpy()
         if found.fitness < self.params.min_fitness or not np.isfinite(T).all():
             return None
-        return se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        return se3.nearest_pose(T)
 
     def _image(self, frame: DepthFrame) -> Any:
         """Return Open3D's image of the frame, if it shows enough."""

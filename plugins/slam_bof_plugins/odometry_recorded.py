@@ -93,8 +93,7 @@ class RecordedOdometry:
         known = np.isfinite(recorded.poses).all(axis=(1, 2))
         if not known.any():
             raise DatasetError(f"{params.file}: found no pose, expected at least one")
-        T = recorded.poses[known]
-        T[:, :3, :3] = [se3.nearest_rotation(R) for R in T[:, :3, :3]]
+        T = se3.nearest_pose(recorded.poses[known])
         if params.world_to_camera:
             T = se3.inverse(T)
         self._T_world_camera = T @ se3.pose(AXES[params.convention], np.zeros(3))
@@ -215,7 +214,7 @@ def _read_npy(file: Path) -> tuple[Trajectory, bool]:
         table = found.astype(np.float64)
         norms = np.linalg.norm(table[:, 4:], axis=1)
         if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
-            raise DatasetError(f"{file}: expected finite rows with growing stamps")
+            raise DatasetError(f"{file}: expected finite rows with strictly increasing timestamps")
         if (np.abs(norms - 1.0) > se3.TOLERANCE).any():
             worst = norms[np.abs(norms - 1.0).argmax()]
             raise DatasetError(f"{file}: found a quaternion of norm {worst:.6g}, expected 1")

@@ -91,6 +91,6 @@ class SmallGicpOdometry:
             rotation_epsilon=p.convergence[0],
             translation_epsilon=p.convergence[1],
         ).T_target_source
-        T = se3.pose(se3.nearest_rotation(found[:3, :3]), found[:3, 3])
+        T = se3.nearest_pose(found)
         self._step = se3.inverse(self._T_odom_camera) @ T
         self._T_odom_camera = T

@@ -88,7 +88,7 @@ class SensFile:
 
 
 def is_sens(path: Path) -> bool:
-    """Tell whether a file begins as .sens files of version 4 do."""
+    """Return whether a file begins as .sens files of version 4 do."""
     try:
         with path.open("rb") as file:
             head = file.read(12)

@@ -21,14 +21,14 @@ __all__ = ["Open3dParams", "Open3dVerifier", "PreparedCloud"]
 
 @dataclass(slots=True, eq=False)
 class PreparedCloud:
-    """A keyframe's cloud, thinned, with normals; FPFH features once a global search asks."""
+    """The downsampled cloud of a keyframe with normals, and FPFH features after a global search."""
 
     cloud: Any
     features: Any = None
 
 
 class Open3dParams(RegistrationQualityParams):
-    """Distances are for indoor depth cameras, whose noise is centimetres at metres."""
+    """Parameters for indoor depth cameras, with a noise of some centimetres."""
 
     voxel_size_m: float = Field(
         0.06,
@@ -56,7 +56,7 @@ class Open3dParams(RegistrationQualityParams):
 
 
 class Open3dVerifier:
-    """Aligns two keyframes' clouds and judges whether they show the same surfaces."""
+    """Registers the clouds of two keyframes, and accepts the result if their surfaces agree."""
 
     Params = Open3dParams
 
@@ -64,7 +64,7 @@ class Open3dVerifier:
         self.params = params or Open3dParams()
 
     def prepare(self, frame: DepthFrame, points_camera: Array) -> PreparedCloud:
-        """Thin the points (N, 3) to one a voxel and estimate normals towards the camera."""
+        """Downsample the points (N, 3) by voxels and estimate normals that face the camera."""
         cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_camera))
         cloud = cloud.voxel_down_sample(self.params.voxel_size_m)
         if cloud.is_empty():
@@ -83,7 +83,7 @@ class Open3dVerifier:
         T_match_query: Array | None = None,
         seed: int = 0,
     ) -> list[Verification]:
-        """Align ``query`` with each match from its guess or, without any, by seeded RANSAC."""
+        """Register ``query`` with each match from its guess, or by RANSAC without one."""
         if T_match_query is None:
             return [self._verify(query, match, None, seed) for match in matches]
         pairs = zip(matches, T_match_query, strict=True)
@@ -107,7 +107,7 @@ class Open3dVerifier:
                 registration.ICPConvergenceCriteria(1e-4, 1e-4, p.max_iterations),
             )
             T = np.array(result.transformation)
-        T_match_query = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
+        T_match_query = se3.nearest_pose(T)
         pairs = np.asarray(result.correspondence_set)
         if len(pairs) == 0:
             return reject("no correspondences", np.eye(4))

@@ -42,9 +42,8 @@ class LoopClosing:
     ) -> None:
         points_camera = se3.transform(se3.inverse(T_LIDAR_CAMERA), np.asarray(points_lidar))
         T_odom_camera = se3.inverse(T_LIDAR_CAMERA) @ T_odom_lidar @ T_LIDAR_CAMERA
-        R = se3.nearest_rotation(T_odom_camera[:3, :3])
         self.closer.process_points(
-            self.n_scans / SCANS_PER_S, points_camera, se3.pose(R, T_odom_camera[:3, 3])
+            self.n_scans / SCANS_PER_S, points_camera, se3.nearest_pose(T_odom_camera)
         )
         self.n_scans += 1
 

@@ -53,7 +53,7 @@ class DepthCloser:
         """Return whether there is a loop, the older map, this one, and ``T_query_older``."""
         T_odom_lidar = local_maps[query_id].keypose
         T_odom_camera = se3.inverse(T_LIDAR_CAMERA) @ T_odom_lidar @ T_LIDAR_CAMERA
-        T_odom_camera[:3, :3] = se3.nearest_rotation(T_odom_camera[:3, :3])
+        T_odom_camera = se3.nearest_pose(T_odom_camera)
         cloud = se3.transform(se3.inverse(T_LIDAR_CAMERA), points_lidar)
         frame, T_camera_view = self._camera.observe(float(query_id), cloud, T_odom_camera)
         view_id = self._recogniser.add(frame, T_odom_camera @ T_camera_view)
@@ -76,7 +76,7 @@ class DepthCloser:
 
     @staticmethod
     def _drift_explains(query_id: int, older_id: int, T_query_older: Pose, local_maps: Any) -> bool:
-        """Tell whether the loop moves the map no more than odometry can have drifted.
+        """Return whether the loop moves the map no more than odometry can have drifted.
 
         KISS-SLAM's graph has no robust kernel: one wrong loop bends all of it.
         """

@@ -10,7 +10,6 @@ from slam_bof.bof.contours import ContourParams, find_contours
 from slam_bof.bof.descriptor import BofParams, describe
 from slam_bof.bof.layers import LayerParams, layer_images
 from slam_bof.bof.vocabulary import TfIdf, Vocabulary
-from slam_bof.core import thread_buffer
 from slam_bof.geometry import PointParams, points_camera_f32
 from slam_bof.types import Array, Bag, Contours, DepthFrame, Params
 
@@ -57,13 +56,11 @@ def layer_rows(
 def _contours(frame: DepthFrame, params: PlaceParams, gravity_camera: Array | None) -> Contours:
     points = points_camera_f32(frame, params.points)
     margin_px = params.contours.margin_px
-    side = params.layers.resolution_px + 2 * margin_px
     images = layer_images(
         points,
         params.layers,
         gravity_camera=gravity_camera,
         margin_px=margin_px,
-        out=thread_buffer("layers", (params.layers.n_images, side, side)),
     )
     return find_contours(images, params.contours, margin_px=margin_px)
 

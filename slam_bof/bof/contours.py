@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from slam_bof.core import thread_buffer
 from slam_bof.types import Contours, Params
 
 __all__ = ["ContourParams", "find_contours"]
@@ -73,8 +72,7 @@ def find_contours(
     # All layers are processed in one tall image, where their margins separate them.
     sheet = images.reshape(n_layers * height, width)
     kernel = np.ones((params.closing_px, params.closing_px), np.uint8)
-    closed = thread_buffer("closed", sheet.shape)
-    cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel, dst=closed)
+    closed = cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel)
     # The corners define the same polygon as all pixels, with a quarter of the points.
     found, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
     kept = [contour for contour in found if cv2.contourArea(contour) >= min_area_px]

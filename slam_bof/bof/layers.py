@@ -135,7 +135,6 @@ def layer_images(
     *,
     gravity_camera: Array | None = None,
     margin_px: int = 0,
-    out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
     """Draw each layer's points as a binary image (paper, 3.2, second equation).
 
@@ -153,8 +152,6 @@ def layer_images(
         (3,), the direction down in the camera frame, for ``axis="gravity"``.
     margin_px
         Empty pixels around each image, which ``find_contours`` needs for its closing.
-    out
-        Where to draw, of the shape and type that is returned; by default a new array.
 
     Returns
     -------
@@ -168,8 +165,7 @@ def layer_images(
     """
     _check_points(points)
     side = params.resolution_px + 2 * margin_px
-    images = np.empty((params.n_images, side, side), np.uint8) if out is None else out
-    images.fill(0)
+    images = np.zeros((params.n_images, side, side), np.uint8)
     x, y, height = _coordinates(points, params, gravity_camera)
     index = _layer_index(height, params)
     # Sorted by layer, each layer is one run; keys of 8 and 16 bits sort by radix, in linear time.

@@ -108,7 +108,7 @@ def query(
     if is_image(path) and not path.is_dir():
         of_map = {"--time": time, "--keyframe": keyframe, "--near": near, "--scene": scene}
         _refuse([name for name, value in of_map.items() if value is not None], "a map")
-        _label_image(path, model or "default", intrinsics, depth_scale, min_probability, form)
+        _label_image(path, model, intrinsics, depth_scale, min_probability, form)
         return
     of_image = {"--model": model, "--intrinsics": intrinsics, "--depth-scale": depth_scale}
     _refuse([name for name, value in of_image.items() if value is not None], "a depth image")
@@ -145,7 +145,7 @@ def query(
 
 def _label_image(
     path: Path,
-    model: str,
+    model: str | None,
     intrinsics: str | None,
     depth_scale: float | None,
     min_probability: float,

@@ -1,7 +1,6 @@
 from . import registry as registry
 from .arrays import (
     GrowingArray as GrowingArray,
-    thread_buffer as thread_buffer,
 )
 from .native_libraries import (
     import_open3d as import_open3d,

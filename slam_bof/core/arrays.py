@@ -1,14 +1,13 @@
-"""An array that grows row by row, and reusable buffers."""
+"""An array that grows row by row."""
 
 from __future__ import annotations
 
-import threading
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-__all__ = ["GrowingArray", "thread_buffer"]
+__all__ = ["GrowingArray"]
 
 
 class GrowingArray:
@@ -64,22 +63,3 @@ class GrowingArray:
     def truncate(self, n: int) -> None:
         """Keep only the first ``n`` rows."""
         self._n = min(n, self._n)
-
-
-class _Buffers(threading.local):
-    def __init__(self) -> None:
-        self.by_name: dict[str, NDArray[np.uint8]] = {}
-
-
-_buffers = _Buffers()
-
-
-def thread_buffer(name: str, shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Return a uint8 buffer that is reused by name; its content is undefined.
-
-    The caller may use it until the same thread asks for the same name again.
-    """
-    array = _buffers.by_name.get(name)
-    if array is None or array.shape != shape:
-        array = _buffers.by_name[name] = np.empty(shape, np.uint8)
-    return array

@@ -1,4 +1,4 @@
-"""Download data sets from their official places and unpack them, once."""
+"""Download data sets from their official servers and unpack them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ OnProgress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Downloaded:
-    """A folder that is there now, and whether it was before."""
+    """The folder of a data set, and whether it was there before the download."""
 
     folder: Path
     was_there: bool
@@ -36,19 +36,19 @@ def download(
     keep_archive: bool = False,
     on_progress: OnProgress = lambda what, done, total: None,
 ) -> list[Downloaded]:
-    """Download a part of a data set to ``out/COLLECTION/``, unless its folder is there already.
+    """Download a part of a data set to ``out/COLLECTION/``, unless its folder exists.
 
-    An archive that is there is not downloaded again, a download that was cut goes on, and a folder
-    appears only when all of it is unpacked.
+    An archive that exists is not downloaded again. An interrupted download is continued. A folder
+    appears when it is unpacked completely.
 
     Parameters
     ----------
     collection, part
-        As in the catalogue: ``7scenes`` and ``chess``, ``tum`` and ``fr1/desk``, ``sunrgbd``.
+        Names in the catalogue: ``7scenes`` and ``chess``, ``tum`` and ``fr1/desk``, ``sunrgbd``.
     out
         Folder for data sets.
     base_url
-        Folder of a mirror that has the archives, in place of the official one.
+        URL of a folder with the archives, used instead of the official one.
     keep_archive
         Whether to keep the archives beside their contents.
     on_progress
@@ -83,7 +83,7 @@ def _download(
     url = f"{base_url.rstrip('/')}/{archive.file_name}" if base_url else archive.url
     file = out / archive.file_name
     fetch(url, file, progress=lambda *sizes: on_progress(f"Downloading {file.name}", *sizes))
-    # Beside the goal, so that moving it there is one step; whatever was left of a try before goes.
+    # On the same file system, so that the folder can be moved in one step.
     trial = out / f".{archive.folder}.unpacking"
     shutil.rmtree(trial, ignore_errors=True)
     try:
@@ -93,11 +93,11 @@ def _download(
             raise BadArchive(f"{file}: found {found} inside, expected {archive.folder}/")
         (trial / archive.folder).replace(folder)
     except BadArchive as error:
-        # Set aside, so that the next call downloads it again and does not stumble over it.
+        # Renamed, so that the next call downloads it again.
         bad = file.with_name(file.name + ".bad")
         with contextlib.suppress(OSError):
             file.replace(bad)
-        raise DatasetError(f"{error}; set aside as {bad.name}") from error
+        raise DatasetError(f"{error}; renamed to {bad.name}") from error
     finally:
         shutil.rmtree(trial, ignore_errors=True)
     if not keep_archive:

@@ -1,7 +1,7 @@
-"""Unpack archives from elsewhere: checked byte by byte, and kept inside their folder.
+"""Unpack archives of unknown origin safely.
 
-Only files and folders come out: no links, nothing outside, not more than the disk holds, and not
-a hundred times what came in.
+Every byte is checked by checksum. Only files and folders within the target folder are written, no
+links, and not more than the disk can hold or a hundred times the size of the archive.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ CHUNK_BYTES = 1 << 20
 
 
 class BadArchive(DatasetError):
-    """An archive is damaged, cut off, or none that one should unpack."""
+    """An archive is damaged, incomplete or unsafe to unpack."""
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Limits of the content of an archive.
 
-    ``ratio`` is how many times its own size, beyond ``free_of_ratio_bytes``; depth images, which
-    are compressed themselves, come to twice. ``margin_bytes`` of the disk stay free.
+    ``ratio`` is the largest ratio of the unpacked to the packed size, for content larger than
+    ``free_of_ratio_bytes``. It is about 2 for depth images, which are compressed themselves.
+    ``margin_bytes`` of the disk stay free.
     """
 
     ratio: float = 100.0
@@ -52,27 +53,27 @@ def unpack(
     limits: Limits | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Unpack a .zip, .tgz or .tar.gz into a folder, and then the .zip files that it held.
+    """Unpack a .zip, .tgz or .tar.gz file into a folder, and then the .zip files in it.
 
-    Zips inside (7-Scenes has one for each sequence) are unpacked where they lie and removed; zips
-    inside those are left as they are.
+    Inner zip files (7-Scenes has one for each sequence) are unpacked into their own folders and
+    removed. Zip files within those are not unpacked.
 
     Parameters
     ----------
     archive
-        The file; each byte of it is checked against its CRC.
+        The file.
     folder
-        Made if need be. After an error, what was unpacked so far is in it.
+        It is created if it does not exist. After an error it contains a part of the files.
     limits, progress
-        How much may come out; who is told.
+        Limits of the content, and a function that is called with the progress.
 
     Raises
     ------
     BadArchive
-        If the archive is damaged or cut off, has a link or a name that leads elsewhere, or
-        would come to more than the limits.
+        If the archive is damaged or incomplete, has a link or a name that leads out of the folder,
+        or exceeds the limits.
     DatasetError
-        If the disk is too full, or cannot be written.
+        If the disk is full or cannot be written.
     """
     limits = limits or Limits()
     folder.mkdir(parents=True, exist_ok=True)
@@ -85,7 +86,7 @@ def unpack(
 def _unpack_one(
     archive: Path, folder: Path, limits: Limits, progress: Progress | None
 ) -> list[PurePosixPath]:
-    """Unpack, and return the names of the files."""
+    """Unpack an archive; return the names of its files."""
     unpack_kind = _unpack_zip if archive.suffix.lower() == ".zip" else _unpack_tar
     budget = _Budget(archive, folder, limits)
     with _naming(archive):
@@ -93,7 +94,7 @@ def _unpack_one(
 
 
 class _Budget:
-    """Counts what comes out of an archive."""
+    """Counts entries and bytes of an archive, and refuses those beyond the limits."""
 
     def __init__(self, archive: Path, folder: Path, limits: Limits) -> None:
         self._archive = archive
@@ -105,7 +106,7 @@ class _Budget:
         self._free = shutil.disk_usage(folder).free - limits.margin_bytes
 
     def take(self, n_bytes: int) -> None:
-        """Count an entry of so many bytes, before it is written."""
+        """Count an entry of ``n_bytes`` bytes before it is written."""
         self._n_entries += 1
         self._n_bytes += n_bytes
         if self._n_entries > self._limits.n_entries:
@@ -128,7 +129,7 @@ def _unpack_zip(
     names = []
     with zipfile.ZipFile(archive) as packed:
         entries = packed.infolist()
-        for entry in entries:  # all of them, before the first is written
+        for entry in entries:  # all are checked before the first is written
             _inside(archive, entry.filename)
             mode = entry.external_attr >> 16
             if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
@@ -168,7 +169,7 @@ def _unpack_tar(
                 _write(source, folder / name)
             names.append(name)
             progress(raw.tell(), total)
-        # The end of the archive is not the end of the file: only there is the CRC of all.
+        # The checksum follows the end of the archive, at the end of the file.
         while packed.fileobj is not None and packed.fileobj.read(CHUNK_BYTES):
             pass
     return names
@@ -181,8 +182,8 @@ def _write(source: IO[bytes], path: Path) -> None:
 
 
 def _inside(archive: Path, name: str) -> PurePosixPath:
-    """Return the path that a name means, on any system; refuse one that leads out."""
-    path = PurePosixPath(name.replace("\\", "/"))  # as some packers on Windows have it
+    """Return the path of a name from any system; refuse one that leads out of the folder."""
+    path = PurePosixPath(name.replace("\\", "/"))  # some packers on Windows
     has_drive = bool(path.parts) and ":" in path.parts[0]
     if not path.parts or path.is_absolute() or ".." in path.parts or has_drive or "\0" in name:
         raise _elsewhere(archive, name, "a path that leads elsewhere")
@@ -201,10 +202,10 @@ def _naming(archive: Path) -> Iterator[None]:
     except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError) as error:
         reason = " ".join(str(error).split())
         raise BadArchive(f"{archive}: found damage ({reason}), expected a whole archive") from error
-    except (NotImplementedError, RuntimeError) as error:  # a compression or a password
+    except (NotImplementedError, RuntimeError) as error:  # unknown compression, or a password
         raise BadArchive(f"{archive}: cannot be unpacked: {error}") from error
     except OSError as error:
-        if error.errno is None:  # so gzip says that a file is none
+        if error.errno is None:  # gzip: not a gzip file
             raise BadArchive(f"{archive}: found damage ({error}), expected an archive") from error
         place = error.filename or archive
         raise DatasetError(f"{place}: cannot be unpacked: {error.strerror}") from error

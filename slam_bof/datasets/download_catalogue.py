@@ -26,7 +26,7 @@ class Archive:
 
 @dataclass(frozen=True, slots=True)
 class Collection:
-    """A data set: its licence in words, and its parts by name, of an archive or several each."""
+    """A data set: its licence in words, and the archives of each part by the name of the part."""
 
     title: str
     licence: str

@@ -1,8 +1,8 @@
-"""Download one file over HTTP so that an interrupted download goes on where it stopped.
+"""Download a file over HTTP so that an interrupted download continues where it stopped.
 
-What has come is in ``NAME.part``; ``NAME.part.json`` says of which version of the file. The rest
-is asked for by a range request that the server is to ignore if the file has changed
-(RFC 9110, 13.1.5 and 14.2); from a server without ranges all comes anew.
+The bytes received so far are in ``NAME.part``, and ``NAME.part.json`` names the version of the
+file. The remaining bytes are requested by a range request, which the server ignores if the file
+has changed (RFC 9110, 13.1.5 and 14.2). A server without range requests sends the whole file again.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ MARGIN_BYTES = 200_000_000
 
 CONTENT_RANGE = re.compile(r"bytes (?:(\d+)-\d+|\*)/(\d+)")
 PASSING = (429, 500, 502, 503, 504)
-"""Answers that may be better the next time."""
+"""Status codes of temporary failures."""
 
 
 class _Cut(Exception):
-    """The connection ended early; what came is kept."""
+    """The connection ended early; the bytes received are kept."""
 
 
 class _Unreachable(_Cut):
-    """There was no connection."""
+    """There was no connection to the server."""
 
 
 def fetch(
@@ -56,19 +56,19 @@ def fetch(
     Parameters
     ----------
     url
-        http or https.
+        An http or https address.
     path
-        The file; it appears only when it is whole.
+        The file, which appears when it is complete.
     progress
-        Told as bytes arrive.
+        Called as bytes arrive.
     wait_s
-        How long to wait after a first failure; twice as long after each further one.
+        Seconds to wait after the first failure. The wait doubles after each further one.
 
     Raises
     ------
     DatasetError
-        If the server cannot be reached, has no such file, sends another number of bytes than it
-        said, or the disk is too full. What has come is kept for the next call where it can be.
+        If the server cannot be reached, has no such file or sends a wrong number of bytes, or the
+        disk is full. If possible, the bytes received are kept for the next call.
     """
     if path.is_file():
         return False
@@ -102,7 +102,7 @@ def fetch(
 def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
     have, notes = _size(part), _read_notes(part)
     if have and not notes.get("version"):
-        have = 0  # it is unknown which file these bytes belong to
+        have = 0  # the version of these bytes is unknown
     request = urllib.request.Request(url, headers={"User-Agent": "slam-bof"})
     if have:
         request.add_header("Range", f"bytes={have}-")
@@ -115,9 +115,9 @@ def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
         if error.code == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE and have:
             match = CONTENT_RANGE.fullmatch(error.headers.get("Content-Range", ""))
             if match and int(match[2]) == have:
-                return  # all had come, and only the renaming was missing
+                return  # the file is complete, but was not renamed
             part.unlink()
-            raise _Cut("found that the file has changed; beginning anew") from error
+            raise _Cut("found that the file has changed; starting again") from error
         if error.code in PASSING:
             raise _Cut(f"found {error.code} {error.reason}") from error
         raise DatasetError(f"{url}: found {error.code} {error.reason}, expected a file") from error
@@ -144,7 +144,7 @@ def _receive(url: str, part: Path, answer: Any, have: int, progress: Progress) -
             f"expected {(total - have + MARGIN_BYTES) / 1e9:.1f} GB for {url}"
         )
     version = answer.headers.get("ETag", "")
-    if not version or version.startswith("W/"):  # a weak one does not vouch for each byte
+    if not version or version.startswith("W/"):  # a weak tag may stand for other bytes
         version = answer.headers.get("Last-Modified", "")
     if not have:
         _notes(part).write_text(json.dumps({"url": url, "version": version}), encoding="utf-8")

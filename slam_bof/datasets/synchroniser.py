@@ -74,7 +74,7 @@ class FramePoseSynchroniser:
 
     @property
     def is_full(self) -> bool:
-        """Tell whether no further frame is taken."""
+        """Return whether no further frame is taken."""
         return len(self._frames) >= self.params.max_frames
 
     @property

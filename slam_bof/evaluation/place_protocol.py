@@ -17,7 +17,7 @@ from pydantic import Field
 
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.loop_metrics import same_place
-from slam_bof.geometry import back_project, se3
+from slam_bof.geometry import back_project, project, se3
 from slam_bof.ports import Dataset
 from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
 
@@ -157,15 +157,10 @@ def _seen_share(
     points_a: Array, T_b_a: Pose, frame_b: DepthFrame, depth_b_m: Array, params: ProtocolParams
 ) -> float:
     """Return the share of a's points that b sees at their depth."""
-    x, y, z = T_b_a[:3, :3] @ points_a.T + T_b_a[:3, 3:]
-    camera = frame_b.intrinsics
-    in_front = z > 0
-    x, y, z = x[in_front], y[in_front], z[in_front]
-    column = np.rint(x / z * camera.fx + camera.cx)
-    row = np.rint(y / z * camera.fy + camera.cy)
-    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    measured = depth_b_m[row[inside].astype(int), column[inside].astype(int)]
-    expected = z[inside]
+    points_b = se3.transform(T_b_a, points_a)
+    rows, columns, is_inside = project(points_b, frame_b.intrinsics)
+    measured = depth_b_m[rows, columns]
+    expected = points_b[is_inside, 2]
     difference = np.abs(measured - expected)
     tolerance = params.tolerance_m + params.tolerance_share * expected
     seen = (measured > 0) & (difference < tolerance)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.geometry import se3
-from slam_bof.types import Array, Pose, Trajectory
+from slam_bof.geometry import nearest_stamps, se3
+from slam_bof.types import Pose, Trajectory
 
 __all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "rpe"]
 
@@ -62,10 +62,10 @@ def associate(
     reference_s = reference.stamps_s[known]
     if len(estimate) <= len(known):
         at_estimate = np.arange(len(estimate))
-        at_known = _nearest(estimate.stamps_s, reference_s)
+        at_known = nearest_stamps(estimate.stamps_s, reference_s)
     else:
         at_known = np.arange(len(known))
-        at_estimate = _nearest(reference_s, estimate.stamps_s)
+        at_estimate = nearest_stamps(reference_s, estimate.stamps_s)
     apart_s = np.abs(estimate.stamps_s[at_estimate] - reference_s[at_known])
     near = apart_s <= max_difference_s
     return at_estimate[near], known[at_known[near]]
@@ -125,12 +125,3 @@ def rpe(
     T_reference = se3.inverse(Q[:-n_frames]) @ Q[n_frames:]
     errors = se3.inverse(T_reference) @ T_estimate
     return float(np.sqrt(np.mean(np.sum(errors[:, :3, 3] ** 2, axis=1))))
-
-
-def _nearest(stamps_s: Array, among_s: Array) -> Indices:
-    """Return the index of the nearest of the sorted ``among_s``; the earlier one in a tie."""
-    after = np.searchsorted(among_s, stamps_s).clip(1, max(1, len(among_s) - 1))
-    after = np.minimum(after, len(among_s) - 1)
-    before = np.maximum(after - 1, 0)
-    earlier = stamps_s - among_s[before] <= among_s[after] - stamps_s
-    return np.asarray(np.where(earlier, before, after), dtype=np.intp)

@@ -4,6 +4,8 @@ from .camera import (
     back_project as back_project,
     points_camera as points_camera,
     points_camera_f32 as points_camera_f32,
+    project as project,
+    ray_slopes as ray_slopes,
 )
 from .depth_view import (
     DepthView as DepthView,
@@ -24,6 +26,7 @@ from .g2o import (
     write_g2o as write_g2o,
 )
 from .gravity import (
+    GravityParams as GravityParams,
     GravityTracker as GravityTracker,
     down_of_map as down_of_map,
     level_frame as level_frame,
@@ -38,6 +41,7 @@ from .registration_quality import (
     reject as reject,
 )
 from .trajectory import (
+    nearest_stamps as nearest_stamps,
     read_kitti as read_kitti,
     read_tum as read_tum,
     spread_correction as spread_correction,
@@ -46,6 +50,7 @@ from .trajectory import (
 )
 from .virtual_camera import (
     CloudCamera as CloudCamera,
+    VirtualCameraParams as VirtualCameraParams,
 )
 from .visibility import (
     Agreement as Agreement,

@@ -1,8 +1,7 @@
-"""Back-projection (paper, section 3.2): ``p = ((u - cx) z / fx, (v - cy) z / fy, z)``."""
+"""Projection, and back-projection: ``p = ((u - cx) z / fx, (v - cy) z / fy, z)`` (paper, 3.2)."""
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -11,7 +10,14 @@ from pydantic import Field, model_validator
 
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
-__all__ = ["PointParams", "back_project", "points_camera", "points_camera_f32"]
+__all__ = [
+    "PointParams",
+    "back_project",
+    "points_camera",
+    "points_camera_f32",
+    "project",
+    "ray_slopes",
+]
 
 
 class PointParams(Params):
@@ -60,7 +66,7 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
     >>> back_project(np.array([[4.0, 0.0, 2.0]]), camera).tolist()
     [[-2.0, 0.0, 4.0], [1.0, 0.0, 2.0]]
     """
-    x_per_z, y_per_z = _rays(intrinsics, stride)
+    x_per_z, y_per_z = ray_slopes(intrinsics, stride)
     expected = (len(y_per_z), len(x_per_z))
     if depth_m.shape != expected:
         raise ValueError(
@@ -74,8 +80,8 @@ def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1)
 
 
 def points_camera(frame: DepthFrame, params: PointParams) -> Array:
-    """Return the frame's points within range, (N, 3) float64 ``points_camera``."""
-    depth_m = frame.depth_m(params.stride)
+    """Return the frame's points, (N, 3) float64, within this range and that of its sensor."""
+    depth_m = frame.depth_in_range_m(params.stride)
     depth_m[(depth_m < params.min_range_m) | (depth_m > params.max_range_m)] = 0.0
     return back_project(depth_m, frame.intrinsics, params.stride)
 
@@ -85,9 +91,9 @@ def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.floa
 
     The result is (N, 3) float32 with contiguous columns, which suits the computation of layers.
     """
-    depth_m = frame.depth_m(params.stride)
+    depth_m = frame.depth_in_range_m(params.stride)
     valid = (depth_m >= params.min_range_m) & (depth_m <= params.max_range_m) & (depth_m > 0)
-    x_per_z, y_per_z = _rays(frame.intrinsics, params.stride)
+    x_per_z, y_per_z = ray_slopes(frame.intrinsics, params.stride)
     points = np.empty((3, np.count_nonzero(valid)), np.float32)
     points[0] = (depth_m * x_per_z.astype(np.float32))[valid]
     points[1] = (depth_m * y_per_z.astype(np.float32)[:, None])[valid]
@@ -95,13 +101,43 @@ def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.floa
     return points.T
 
 
-@lru_cache(maxsize=16)
-def _rays(intrinsics: Intrinsics, stride: int) -> tuple[Array, Array]:
-    """Return x / z of every column and y / z of every row."""
+def project(
+    points_camera: Array, intrinsics: Intrinsics
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the pixels in which points lie.
+
+    Parameters
+    ----------
+    points_camera
+        (N, 3) points.
+    intrinsics
+        Intrinsics of the image.
+
+    Returns
+    -------
+    rows, columns : NDArray[np.intp]
+        (M,) pixels of the points within the image.
+    is_inside : NDArray[np.bool_]
+        (N,) which points these are.
+
+    Examples
+    --------
+    >>> camera = Intrinsics(width=3, height=1, fx=2.0, fy=2.0, cx=1.0, cy=0.0)
+    >>> rows, columns, is_inside = project(np.array([[1.0, 0.0, 2.0], [9.0, 0.0, 2.0]]), camera)
+    >>> rows.tolist(), columns.tolist(), is_inside.tolist()
+    ([0], [2], [True, False])
+    """
+    x, y, z = points_camera.T
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        column = np.rint(intrinsics.fx * x / z + intrinsics.cx)
+        row = np.rint(intrinsics.fy * y / z + intrinsics.cy)
+    is_inside = (z > 0) & (column >= 0) & (column < intrinsics.width)
+    is_inside &= (row >= 0) & (row < intrinsics.height)
+    return row[is_inside].astype(np.intp), column[is_inside].astype(np.intp), is_inside
+
+
+def ray_slopes(intrinsics: Intrinsics, stride: int = 1) -> tuple[Array, Array]:
+    """Return x / z of every ``stride``-th column and y / z of every ``stride``-th row."""
     columns = np.arange(0, intrinsics.width, stride, dtype=np.float64)
     rows = np.arange(0, intrinsics.height, stride, dtype=np.float64)
-    x_per_z: Array = (columns - intrinsics.cx) / intrinsics.fx
-    y_per_z: Array = (rows - intrinsics.cy) / intrinsics.fy
-    x_per_z.setflags(write=False)
-    y_per_z.setflags(write=False)
-    return x_per_z, y_per_z
+    return (columns - intrinsics.cx) / intrinsics.fx, (rows - intrinsics.cy) / intrinsics.fy

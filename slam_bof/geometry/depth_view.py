@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.geometry.camera import PointParams, points_camera_f32
-from slam_bof.types import DepthFrame, Intrinsics, SubsampledDepth
+from slam_bof.geometry.camera import PointParams, points_camera_f32, ray_slopes
+from slam_bof.types import DepthFrame, Intrinsics, SensorParams, SubsampledDepth
 
 __all__ = [
     "DepthView",
@@ -23,13 +23,10 @@ __all__ = [
 
 WIDTH_PX = 160
 """Approximate width of the image that points are taken from. A view has half this width."""
-MIN_RANGE_M = 0.1
-MAX_RANGE_M = 8.0
-"""Depths outside this range are dropped."""
 STEPS_PER_M = 8000
-"""Resolution at which the map keeps depths in metres: steps of 1/8 mm."""
-MAX_SLOPE = 0.1
-"""Depth differences of more than this share of (1 m + depth) are edges."""
+"""Finest resolution at which the map keeps depths in metres: steps of 1/8 mm."""
+MAX_STEPS = 65535
+"""Largest number of steps that the map can keep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,10 +57,9 @@ def make_view(frame: DepthFrame) -> DepthView:
 
 def _make_view(frame: DepthFrame) -> DepthView:
     stride = 2 * view_stride(frame.intrinsics)
-    depth_m = frame.depth_m(stride)
-    depth_m[(depth_m < MIN_RANGE_M) | (depth_m > MAX_RANGE_M)] = 0.0
+    depth_m = frame.depth_in_range_m(stride)
     camera = _shrunk(frame.intrinsics, stride)
-    normals = surface_normals(_rays(camera) * depth_m[..., None])
+    normals = surface_normals(_rays(camera) * depth_m[..., None], frame.sensor.edge_ratio)
     for shared in (depth_m, normals):
         shared.setflags(write=False)
     return DepthView(depth_m, normals, camera)
@@ -75,10 +71,10 @@ def view_points(frame: DepthFrame) -> NDArray[np.float32]:
 
 
 def _view_points(frame: DepthFrame) -> NDArray[np.float32]:
-    fine = PointParams(
-        stride=view_stride(frame.intrinsics), min_range_m=MIN_RANGE_M, max_range_m=MAX_RANGE_M
+    stride = view_stride(frame.intrinsics)
+    points = points_camera_f32(
+        frame, PointParams(stride=stride, min_range_m=0.0, max_range_m=np.inf)
     )
-    points = points_camera_f32(frame, fine)
     points.setflags(write=False)
     return points
 
@@ -90,18 +86,15 @@ def quantize_depth(frame: DepthFrame) -> DepthFrame:
     """
     if frame.depth.dtype == np.uint16:
         return frame
-    depth = np.rint(frame.depth.astype(np.float32) * np.float32(STEPS_PER_M))
-    depth /= np.float32(STEPS_PER_M)
-    return replace(frame, depth=depth)
+    per_m = np.float32(_steps_per_m(frame.sensor))
+    return replace(frame, depth=np.rint(frame.depth.astype(np.float32) * per_m) / per_m)
 
 
 def subsample(frame: DepthFrame) -> SubsampledDepth:
     """Return the pixels of a quantised frame (see ``quantize_depth``) that views use."""
     stride = view_stride(frame.intrinsics)
-    metres = frame.depth_m(stride)
-    per_m = 1000 if frame.depth.dtype == np.uint16 else STEPS_PER_M
-    steps = np.rint(metres * np.float32(per_m))
-    steps[(metres < MIN_RANGE_M) | (metres > MAX_RANGE_M)] = 0
+    per_m = 1000 if frame.depth.dtype == np.uint16 else _steps_per_m(frame.sensor)
+    steps = np.rint(frame.depth_in_range_m(stride) * np.float32(per_m))
     return SubsampledDepth(steps.astype(np.uint16), per_m, frame.intrinsics)
 
 
@@ -115,14 +108,21 @@ def restore_frame(subsample: SubsampledDepth, stamp_s: float = 0.0) -> DepthFram
     else:
         depth = np.zeros((camera.height, camera.width), np.float32)
         depth[::stride, ::stride] = subsample.depth / np.float32(subsample.per_m)
-    return DepthFrame(stamp_s, depth, camera)
+    # The range of the sensor was applied when the depths were saved.
+    whole = SensorParams(min_depth_m=0.0, max_depth_m=min(60.0, MAX_STEPS / subsample.per_m))
+    return DepthFrame(stamp_s, depth, camera, whole)
 
 
-def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
+def _steps_per_m(sensor: SensorParams) -> int:
+    """Return the resolution at which a map keeps depths in metres up to those of the sensor."""
+    return min(STEPS_PER_M, int(MAX_STEPS / sensor.max_depth_m + 1e-6))
+
+
+def surface_normals(points: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArray[np.float32]:
     """Return the normals (h, w, 3) of a grid of points, zero at edges and where points miss.
 
     Each is the cross product of the differences between the neighbours of the pixel, below minus
-    above and right minus left.
+    above and right minus left. ``edge_ratio`` is that of ``SensorParams``.
     """
     x, y, z = np.ascontiguousarray(np.moveaxis(points, -1, 0))
     across = [c[1:-1, 2:] - c[1:-1, :-2] for c in (x, y, z)]
@@ -137,7 +137,7 @@ def surface_normals(points: NDArray[np.float32]) -> NDArray[np.float32]:
     )
     length = np.sqrt((cross * cross).sum(axis=-1))
     known = z > 0
-    step = MAX_SLOPE * (1.0 + z[1:-1, 1:-1])
+    step = edge_ratio * (1.0 + z[1:-1, 1:-1])
     smooth = (
         known[1:-1, 1:-1]
         & (known[1:-1, 2:] & known[1:-1, :-2] & known[2:, 1:-1] & known[:-2, 1:-1])
@@ -170,8 +170,7 @@ def _shrunk(camera: Intrinsics, stride: int) -> Intrinsics:
 @lru_cache(maxsize=4)
 def _rays(camera: Intrinsics) -> NDArray[np.float32]:
     """Return the rays (h, w, 3) of all pixels with z = 1."""
-    x = (np.arange(camera.width) - camera.cx) / camera.fx
-    y = (np.arange(camera.height) - camera.cy) / camera.fy
+    x, y = ray_slopes(camera)
     rays = np.dstack([*np.meshgrid(x, y), np.ones((len(y), len(x)))]).astype(np.float32)
     rays.setflags(write=False)
     return rays

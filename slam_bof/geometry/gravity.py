@@ -14,27 +14,48 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from slam_bof.geometry.depth_view import make_view
-from slam_bof.types import Array, DepthFrame, Pose
+from slam_bof.types import Array, DepthFrame, Params, Pose
 
-__all__ = ["GravityTracker", "down_of_map", "level_frame"]
+__all__ = ["GravityParams", "GravityTracker", "down_of_map", "level_frame"]
 
-N_VIEWS = 20
-"""Number of recent views whose normals are fitted together."""
-N_NORMALS = 200
-"""Largest number of normals taken from a view."""
-FIRST_GATES_RAD = tuple(np.radians((45.0, 20.0, 20.0, 20.0)))
-"""Largest angle of a normal to the horizontal or the vertical in each iteration, at the start."""
-GATES_RAD = tuple(np.radians((20.0, 20.0)))
-"""The same after the first ``N_FIRST`` views."""
-N_FIRST = 5
-"""Number of views at the start for which the wide gates are used."""
-ALIGNED_RAD = np.radians(10.0)
-"""Largest angle to the horizontal or the vertical at which a normal supports a direction."""
-LOST_MARGIN = 0.25
-"""Odometry counts as lost if an estimate from the newest view alone, starting with an upright
-camera, is supported by a share of its normals that is larger by more than this."""
+
+class GravityParams(Params):
+    """Parameters of the estimation of gravity."""
+
+    n_views: int = Field(
+        20, gt=0, description="Number of recent views whose normals are fitted together."
+    )
+    n_normals: int = Field(200, gt=0, description="Largest number of normals taken from a view.")
+    first_gates_deg: tuple[float, ...] = Field(
+        (45.0, 20.0, 20.0, 20.0),
+        min_length=1,
+        description="Largest angle of a normal to the horizontal or the vertical in each iteration "
+        "of the first views.",
+    )
+    gates_deg: tuple[float, ...] = Field(
+        (20.0, 20.0),
+        min_length=1,
+        description="The same angle in each iteration of later views.",
+    )
+    n_first: int = Field(
+        5, ge=0, description="Number of views at the start for which the first angles are used."
+    )
+    aligned_deg: float = Field(
+        10.0,
+        gt=0,
+        le=45,
+        description="Largest angle to the horizontal or the vertical at which a normal supports a "
+        "direction of gravity.",
+    )
+    lost_margin: float = Field(
+        0.25,
+        ge=0,
+        description="Odometry counts as lost if the direction from the newest view alone is "
+        "supported by a share of its normals that is larger by more than this.",
+    )
 
 
 class GravityTracker:
@@ -51,26 +72,34 @@ class GravityTracker:
     """
 
     def __init__(
-        self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0), *, never_lost: bool = False
+        self,
+        gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
+        params: GravityParams | None = None,
+        *,
+        never_lost: bool = False,
     ) -> None:
+        self.params = params or GravityParams()
         gravity = np.asarray(gravity_odom, dtype=np.float64)
         self._gravity_odom = gravity / np.linalg.norm(gravity)
-        self._lost_margin = np.inf if never_lost else LOST_MARGIN
-        self._normals_odom: deque[Array] = deque(maxlen=N_VIEWS)
+        self._lost_margin = np.inf if never_lost else self.params.lost_margin
+        self._normals_odom: deque[Array] = deque(maxlen=self.params.n_views)
 
     def update(self, normals_camera: NDArray[np.floating], T_odom_camera: Pose) -> Array:
         """Add the normals (N, 3) of a view, N >= 0; return gravity (3,) in its camera frame."""
-        R = T_odom_camera[:3, :3]
+        p, R = self.params, T_odom_camera[:3, :3]
         if len(normals_camera):
-            chosen = np.linspace(0, len(normals_camera) - 1, min(N_NORMALS, len(normals_camera)))
+            n = len(normals_camera)
+            chosen = np.linspace(0, n - 1, min(p.n_normals, n))
             normals_odom = normals_camera[chosen.astype(np.intp)] @ R.T
             self._normals_odom.append(normals_odom)
-            gates = FIRST_GATES_RAD if len(self._normals_odom) <= N_FIRST else GATES_RAD
+            is_first = len(self._normals_odom) <= p.n_first
+            gates = p.first_gates_deg if is_first else p.gates_deg
             recent = np.concatenate(self._normals_odom)
             self._gravity_odom = _fit(recent, self._gravity_odom, gates)
-            single_view = _fit(normals_odom, R[:, 1], FIRST_GATES_RAD)
-            support = _support(normals_odom, self._gravity_odom)
-            if _support(normals_odom, single_view) > support + self._lost_margin:
+            single_view = _fit(normals_odom, R[:, 1], p.first_gates_deg)
+            support = _support(normals_odom, self._gravity_odom, p.aligned_deg)
+            single_support = _support(normals_odom, single_view, p.aligned_deg)
+            if single_support > support + self._lost_margin:
                 self._normals_odom.clear()
                 self._normals_odom.append(normals_odom)
                 self._gravity_odom = single_view
@@ -89,12 +118,12 @@ def down_of_map(
     guess
         (3,) rough direction of gravity in the map frame.
     """
-    down = np.asarray(guess, dtype=np.float64)
+    p, down = GravityParams(), np.asarray(guess, dtype=np.float64)
     normals_map = [np.empty((0, 3))]
     for frame, T in zip(frames, T_map_camera, strict=True):
         normals = make_view(frame).known_normals()
-        normals_map.append(normals[:: -(-len(normals) // N_NORMALS) or 1] @ T[:3, :3].T)
-    return _fit(np.concatenate(normals_map), down / np.linalg.norm(down), FIRST_GATES_RAD)
+        normals_map.append(normals[:: -(-len(normals) // p.n_normals) or 1] @ T[:3, :3].T)
+    return _fit(np.concatenate(normals_map), down / np.linalg.norm(down), p.first_gates_deg)
 
 
 def level_frame(gravity_camera: Array) -> Array:
@@ -112,14 +141,14 @@ def level_frame(gravity_camera: Array) -> Array:
     return np.stack([np.cross(down, ahead), down, ahead])
 
 
-def _fit(normals: Array, down: Array, gates_rad: Sequence[float]) -> Array:
+def _fit(normals: Array, down: Array, gates_deg: Sequence[float]) -> Array:
     """Return the direction most perpendicular to wall normals and parallel to floor normals.
 
     ``down`` is the initial direction. Each iteration minimises the sum of the squared cosines to
     the normals of walls and of the squared sines to the normals of floors. The direction of the
     last iteration counts as one floor normal, which settles what the surfaces leave undetermined.
     """
-    for gate_rad in gates_rad:
+    for gate_rad in np.radians(gates_deg):
         cosine = np.abs(normals @ down)
         floors = normals[cosine > np.cos(gate_rad)]
         walls = normals[cosine < np.sin(gate_rad)]
@@ -129,7 +158,7 @@ def _fit(normals: Array, down: Array, gates_rad: Sequence[float]) -> Array:
     return down
 
 
-def _support(normals: Array, down: Array) -> float:
+def _support(normals: Array, down: Array, aligned_deg: float) -> float:
     """Return the share of normals that are horizontal or vertical if ``down`` is gravity."""
-    cosine = np.abs(normals @ down)
-    return float(((cosine > np.cos(ALIGNED_RAD)) | (cosine < np.sin(ALIGNED_RAD))).mean())
+    cosine, aligned_rad = np.abs(normals @ down), np.radians(aligned_deg)
+    return float(((cosine > np.cos(aligned_rad)) | (cosine < np.sin(aligned_rad))).mean())

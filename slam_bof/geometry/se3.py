@@ -20,6 +20,7 @@ __all__ = [
     "interpolate",
     "inverse",
     "log",
+    "nearest_pose",
     "nearest_rotation",
     "pose",
     "rotation_angle",
@@ -130,9 +131,19 @@ def interpolate(T_a: Pose, T_b: Pose, fraction: float | Array) -> Pose:
 
 
 def nearest_rotation(R: ArrayLike) -> Array:
-    """Return the rotation nearest to a (3, 3) matrix, by SVD."""
+    """Return the rotations nearest to matrices (..., 3, 3), by SVD."""
     U, _, Vt = np.linalg.svd(np.asarray(R, dtype=np.float64))
-    return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+    U[..., 2] *= np.linalg.det(U @ Vt)[..., None]
+    return np.asarray(U @ Vt)
+
+
+def nearest_pose(T: ArrayLike) -> Pose:
+    """Return transforms (..., 4, 4) with their rotations made orthonormal."""
+    # The order of memory decides the last bits of products.
+    T = np.array(T, dtype=np.float64, order="C")
+    T[..., :3, :3] = nearest_rotation(T[..., :3, :3])
+    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
+    return T
 
 
 def align(points_reference: Array, points_estimate: Array) -> Pose:

@@ -11,12 +11,20 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3
 from slam_bof.types import Array, Trajectory
 
-__all__ = ["read_kitti", "read_tum", "spread_correction", "write_kitti", "write_tum"]
+__all__ = [
+    "nearest_stamps",
+    "read_kitti",
+    "read_tum",
+    "spread_correction",
+    "write_kitti",
+    "write_tum",
+]
 
 TOLERANCE = 1e-2
 """Largest deviation of the norm of a quaternion from 1. Files may have few digits, so quaternions
@@ -96,6 +104,18 @@ def read_kitti(path: Path, stamps_s: Array | None = None) -> Trajectory:
     if len(stamps_s) != len(poses):
         raise DatasetError(f"{path}: found {len(poses)} poses, expected {len(stamps_s)}")
     return Trajectory(np.asarray(stamps_s, dtype=np.float64), poses)
+
+
+def nearest_stamps(stamps_s: Array, among_s: Array) -> NDArray[np.intp]:
+    """Return the index of the nearest of the sorted ``among_s``; the earlier one in a tie.
+
+    >>> nearest_stamps(np.array([-1.0, 0.5, 1.6]), np.array([0.0, 1.0, 2.0])).tolist()
+    [0, 0, 2]
+    """
+    after = np.searchsorted(among_s, stamps_s).clip(0, len(among_s) - 1)
+    before = np.maximum(after - 1, 0)
+    is_earlier = np.abs(stamps_s - among_s[before]) <= np.abs(among_s[after] - stamps_s)
+    return np.asarray(np.where(is_earlier, before, after), dtype=np.intp)
 
 
 def spread_correction(

@@ -13,32 +13,67 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from slam_bof.geometry import se3
+from slam_bof.geometry.camera import project
 from slam_bof.geometry.gravity import level_frame
-from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
+from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Pose
 
-__all__ = ["CloudCamera", "VirtualView", "render"]
+__all__ = ["CloudCamera", "VirtualCameraParams", "VirtualView", "render"]
 
-MAX_TANGENT = np.tan(np.radians(60.0))
-"""Views are limited to 120 degrees: a wider pinhole image consists mostly of its edges."""
-MIN_SHARE_AHEAD = 0.9
-"""Smallest share of points within these 120 degrees for a sensor to count as a depth camera."""
-MARGIN = 1.02
-"""Factor by which the view is made wider than the points need."""
-QUANTILE = 0.995
-"""Quantile of the slopes of the points that sets the width of the view, robust to outliers."""
-POINTS_PER_PIXEL = 1.5
-"""Mean number of points per pixel, which sets the resolution of the image."""
-MIN_WIDTH_PX, MAX_WIDTH_PX = 160, 320
-MIN_POINTS = 100
-"""Smallest number of points from which the type of the sensor is determined."""
 NEAR_M = 0.05
 """Points nearer than this are not projected."""
-SAME_SURFACE = 0.1
-"""Largest relative difference in depth of points on one surface."""
-MAX_GAP_PX = 6
-"""Largest gap between points of one surface that is closed, such as between LiDAR rings."""
+
+
+class VirtualCameraParams(Params):
+    """Parameters of the depth images into which point clouds are projected."""
+
+    max_angle_deg: float = Field(
+        60.0,
+        gt=0,
+        lt=90,
+        description="Largest angle between the optical axis and the border of the image.",
+    )
+    min_share_ahead: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="Smallest share of points within these angles for a sensor to count as a depth "
+        "camera; other sensors are taken to see all around.",
+    )
+    margin: float = Field(
+        1.02, ge=1, description="Factor by which the image is made wider than the points need."
+    )
+    quantile: float = Field(
+        0.995,
+        gt=0,
+        le=1,
+        description="Quantile of the slopes of the points that sets the width of the image.",
+    )
+    points_per_pixel: float = Field(
+        1.5, gt=0, description="Mean number of points per pixel, which sets the resolution."
+    )
+    width_px: tuple[int, int] = Field(
+        (160, 320), description="Smallest and largest width of the image, in pixels."
+    )
+    min_points: int = Field(
+        100, gt=0, description="Smallest number of points from which the sensor is determined."
+    )
+    same_surface: float = Field(
+        0.1, gt=0, description="Largest relative difference in depth of points on one surface."
+    )
+    max_gap_px: int = Field(
+        6,
+        ge=0,
+        description="Largest gap between points of one surface that is closed, such as between the "
+        "rings of a LiDAR.",
+    )
+
+    @property
+    def max_tangent(self) -> float:
+        """Tangent of the largest angle."""
+        return float(np.tan(np.radians(self.max_angle_deg)))
 
 
 class VirtualView(NamedTuple):
@@ -55,9 +90,16 @@ class CloudCamera:
     ----------
     gravity_odom
         (3,) rough direction of gravity in the odometry frame.
+    params
+        Parameters of the virtual camera.
     """
 
-    def __init__(self, gravity_odom: ArrayLike = (0.0, 1.0, 0.0)) -> None:
+    def __init__(
+        self,
+        gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
+        params: VirtualCameraParams | None = None,
+    ) -> None:
+        self.params = params or VirtualCameraParams()
         self._R_odom_view = level_frame(np.asarray(gravity_odom, dtype=np.float64)).T
         self._intrinsics: Intrinsics | None = None
         self._is_around = False
@@ -92,13 +134,13 @@ class CloudCamera:
         if points.ndim != 2 or points.shape[1] != 3:
             raise ValueError(f"points_camera must be (N, 3), got {points.shape}")
         points = points[np.isfinite(points).all(axis=1)]
-        if self._intrinsics is None and len(points) >= MIN_POINTS:
+        if self._intrinsics is None and len(points) >= self.params.min_points:
             self._choose_camera(points, T_odom_camera)
         T_camera_view = self._T_camera_view(T_odom_camera)
         camera = self._intrinsics
         if camera is None:  # no cloud so far had enough points
-            camera, points = _camera(np.ones(2), 1), np.empty((0, 3))
-        depth_m = render(se3.transform(se3.inverse(T_camera_view), points), camera)
+            camera, points = _camera(np.ones(2), 1, self.params), np.empty((0, 3))
+        depth_m = render(se3.transform(se3.inverse(T_camera_view), points), camera, self.params)
         return VirtualView(DepthFrame(stamp_s, depth_m, camera), T_camera_view)
 
     def _T_camera_view(self, T_odom_camera: Pose) -> Pose:
@@ -109,43 +151,45 @@ class CloudCamera:
 
     def _choose_camera(self, points: Array, T_odom_camera: Pose) -> None:
         """Choose the virtual camera from the extent and the density of a cloud."""
-        self._is_around = not _falls_ahead(points).mean() >= MIN_SHARE_AHEAD
+        p = self.params
+        self._is_around = not _falls_ahead(points, p).mean() >= p.min_share_ahead
         R_view_camera = self._T_camera_view(T_odom_camera)[:3, :3].T
         ahead = points @ R_view_camera.T
-        ahead = ahead[_falls_ahead(ahead)]
-        if len(ahead) < MIN_POINTS:  # a narrow sensor that points in another direction
+        ahead = ahead[_falls_ahead(ahead, p)]
+        if len(ahead) < p.min_points:  # a narrow sensor that points in another direction
             return
         slopes = np.abs(ahead[:, :2]) / ahead[:, 2:]
-        tangents = MARGIN * np.quantile(slopes, QUANTILE, axis=0)
-        self._intrinsics = _camera(np.minimum(tangents, MAX_TANGENT), len(ahead))
+        tangents = p.margin * np.quantile(slopes, p.quantile, axis=0)
+        self._intrinsics = _camera(np.minimum(tangents, p.max_tangent), len(ahead), p)
 
 
-def render(points_view: Array, camera: Intrinsics) -> NDArray[np.float32]:
+def render(
+    points_view: Array, camera: Intrinsics, params: VirtualCameraParams | None = None
+) -> NDArray[np.float32]:
     """Return the depth image (H, W) of points: float32 in metres, 0 where there are none.
 
     A pixel gets the mean inverse depth of its points on the nearest surface. Gaps of up to
-    ``MAX_GAP_PX`` between points of one surface are closed by interpolating inverse depth, which
+    ``max_gap_px`` between points of one surface are closed by interpolating inverse depth, which
     is linear in the image of a plane.
     """
+    p = params or VirtualCameraParams()
     inverse = np.zeros(camera.height * camera.width)
-    x, y, z = points_view[points_view[:, 2] > NEAR_M].T
-    column = np.rint(camera.fx * x / z + camera.cx).astype(np.intp)
-    row = np.rint(camera.fy * y / z + camera.cy).astype(np.intp)
-    inside = (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    pixel, near = (row * camera.width + column)[inside], 1.0 / z[inside]
+    ahead = points_view[points_view[:, 2] > NEAR_M]
+    row, column, is_inside = project(ahead, camera)
+    pixel, near = row * camera.width + column, 1.0 / ahead[is_inside, 2]
     np.maximum.at(inverse, pixel, near)
-    front = near >= (1.0 - SAME_SURFACE) * inverse[pixel]
+    front = near >= (1.0 - p.same_surface) * inverse[pixel]
     count = np.bincount(pixel[front], minlength=len(inverse))
     total = np.bincount(pixel[front], weights=near[front], minlength=len(inverse))
     image: Array = (total / np.maximum(count, 1)).reshape(camera.height, camera.width)
     for axis in (1, 0):
-        image = _close_gaps(image, axis)
+        image = _close_gaps(image, axis, p)
     depth_m = np.zeros_like(image)
     np.divide(1.0, image, out=depth_m, where=image > 0)
     return depth_m.astype(np.float32)
 
 
-def _close_gaps(inverse: Array, axis: int) -> Array:
+def _close_gaps(inverse: Array, axis: int, params: VirtualCameraParams) -> Array:
     """Interpolate linearly along an axis in the gaps between pixels of one surface."""
     lines = np.moveaxis(inverse, axis, -1)
     n = lines.shape[-1]
@@ -156,24 +200,24 @@ def _close_gaps(inverse: Array, axis: int) -> Array:
     first = np.take_along_axis(lines, np.maximum(before, 0), axis=-1)
     last = np.take_along_axis(lines, np.minimum(after, n - 1), axis=-1)
     gap = after - before
-    is_closed = (lines == 0) & (before >= 0) & (after < n) & (gap <= MAX_GAP_PX + 1)
-    is_closed &= np.abs(first - last) < SAME_SURFACE * np.maximum(first, last)
+    is_closed = (lines == 0) & (before >= 0) & (after < n) & (gap <= params.max_gap_px + 1)
+    is_closed &= np.abs(first - last) < params.same_surface * np.maximum(first, last)
     fraction = (np.arange(n) - before) / np.maximum(gap, 1)
     filled = np.where(is_closed, first + fraction * (last - first), lines)
     return np.moveaxis(filled, -1, axis)
 
 
-def _falls_ahead(points: Array) -> NDArray[np.bool_]:
+def _falls_ahead(points: Array, params: VirtualCameraParams) -> NDArray[np.bool_]:
     x, y, z = points.T
-    reach = MAX_TANGENT * z
+    reach = params.max_tangent * z
     return np.asarray((z > NEAR_M) & (np.abs(x) < reach) & (np.abs(y) < reach))
 
 
-def _camera(tangents: Array, n_points: int) -> Intrinsics:
+def _camera(tangents: Array, n_points: int, params: VirtualCameraParams) -> Intrinsics:
     """Return a camera with square pixels and these tangents (2,) of its half angles, x and y."""
     across, along = (max(float(t), 0.05) for t in tangents)
-    width = np.sqrt(n_points / POINTS_PER_PIXEL * across / along)
-    width_px = 2 * round(float(np.clip(width, MIN_WIDTH_PX, MAX_WIDTH_PX)) / 2)
+    width = np.sqrt(n_points / params.points_per_pixel * across / along)
+    width_px = 2 * round(float(np.clip(width, *params.width_px)) / 2)
     focal_px = 0.5 * width_px / across
     height_px = max(2 * round(focal_px * along), 2)
     return Intrinsics(

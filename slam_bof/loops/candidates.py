@@ -1,4 +1,4 @@
-"""Two ways to propose loops: by bags of words, the paper's, and by views, the product's."""
+"""Proposal of loops by bags of words, as in the paper, or by depth views."""
 
 from __future__ import annotations
 
@@ -19,12 +19,11 @@ __all__ = ["BagRanking", "Found", "Ranking", "ViewRanking"]
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The candidates of a keyframe, best first, and where recognition has the views already.
+    """The candidates of a keyframe, best first.
 
-    Candidates that fail a check have ``decision`` "rejected" and the reason; those still open
-    (``decision`` empty) are for geometric verification, and those above the upper threshold
-    ("accepted") for their relative pose. ``guesses`` has ``T_match_query`` by ``match_id``, of
-    those that were aligned.
+    Rejected candidates have the reason. Open ones are verified by geometry; of accepted ones, which
+    are above the upper threshold, geometry only measures the relative pose. ``guesses`` has the
+    initial ``T_match_query`` by ``match_id`` of candidates that were aligned.
     """
 
     candidates: list[Candidate] = field(default_factory=list)
@@ -32,29 +31,29 @@ class Found:
 
 
 class Ranking(Protocol):
-    """A way to find what looks alike."""
+    """A method that ranks older keyframes by their similarity to a new one."""
 
     def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
-        """Return the best of the older keyframes, and remember this one."""
+        """Return the best of the older keyframes, and store this one."""
 
     def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
-        """Take a keyframe without asking."""
+        """Store a keyframe without a search."""
 
     def deactivate(self) -> None:
-        """Find others rather than the one ranked last."""
+        """Exclude the newest keyframe from later searches."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
-        """Expect keyframes of another odometry, whose clock may start anew."""
+        """Prepare for keyframes with another odometry frame and clock."""
 
     def state(self) -> Any:
-        """Return what keyframes do not tell, as JSON has it."""
+        """Return the state that keyframes do not contain, as JSON values."""
 
     def restore(self, state: Any) -> None:
-        """Go on from there."""
+        """Restore a state, after its keyframes were stored."""
 
 
 class BagRanking:
-    """The paper's: the maxima of eta."""
+    """Ranks keyframes by eta of their bags, as in the paper."""
 
     def __init__(self, params: LoopParams, n_words: int) -> None:
         self._params = params
@@ -86,23 +85,23 @@ class BagRanking:
         return found
 
     def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
-        """Hold the keyframe's bag."""
+        """Store the bag of the keyframe."""
         self._index.add(keyframe.bag)
         self._stamps_s.append(keyframe.stamp_s)
 
     def deactivate(self) -> None:
-        """Do nothing: the paper's index holds all."""
+        """Do nothing: the paper searches all keyframes."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
-        """Normalise by the new session's keyframes alone."""
+        """Normalise by the keyframes of the new session alone."""
         self._n_before += len(self._stamps_s)
         self._stamps_s.clear()
 
     def state(self) -> Any:
-        """Return nothing: keyframes tell all."""
+        """Return None: keyframes contain everything."""
 
     def restore(self, state: Any) -> None:
-        """Do nothing."""
+        """Do nothing, as there is no other state."""
 
     def _judge(self, candidate: Candidate) -> Candidate:
         p = self._params
@@ -116,7 +115,7 @@ class BagRanking:
 
 
 class ViewRanking:
-    """The recogniser's: the maxima of what it ranks by, after aligning."""
+    """Ranks keyframes by the score of the place recogniser after alignment."""
 
     def __init__(self, params: LoopParams, recogniser: PlaceRecogniser) -> None:
         self._params = params
@@ -144,15 +143,15 @@ class ViewRanking:
         )
 
     def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
-        """Hold the keyframe's view."""
+        """Store the view of the keyframe."""
         self._recogniser.add(frame, keyframe.T_odom_camera)
 
     def deactivate(self) -> None:
-        """Leave the view ranked last out of later searches."""
+        """Exclude the newest view from later searches."""
         self._recogniser.deactivate()
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
-        """Expect another direction of gravity; matches so far lead nowhere."""
+        """Prepare for another direction of gravity, and follow no earlier matches."""
         self._recogniser.begin_session(gravity_odom)
 
     def state(self) -> Any:
@@ -160,12 +159,12 @@ class ViewRanking:
         return self._recogniser.state()
 
     def restore(self, state: Any) -> None:
-        """Follow them again."""
+        """Restore the matches that are followed."""
         self._recogniser.restore(state)
 
 
 def _maxima(scores: NDArray[np.floating], params: LoopParams) -> list[int]:
-    """Return up to ``top_k`` ids of the highest scores above 0, none near one before it."""
+    """Return up to ``top_k`` ids with the highest scores above 0, none close to a better one."""
     left = scores.astype(np.float64)
     chosen: list[int] = []
     while len(chosen) < params.top_k and len(left) and left.max() > 0.0:

@@ -1,7 +1,7 @@
-"""Which keyframes see the same surfaces, by the poses that the map has for them.
+"""Choice of covisible keyframes: those that see the same surfaces according to the map.
 
-Bags find a place again after long drift; they are blind to the local slip of odometry. Edges
-between keyframes that look at the same surfaces mend that.
+Place recognition corrects the drift of odometry over long paths. Edges between covisible keyframes
+correct its small local errors.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["CovisibilityParams", "choose_covisible"]
 
 
 class CovisibilityParams(Params):
-    """How many edges a keyframe gets, and what counts as seeing the same."""
+    """Parameters of the choice of covisible keyframes."""
 
     max_edges: int = Field(
         12,
@@ -41,10 +41,10 @@ class CovisibilityParams(Params):
 
 
 def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:
-    """Choose up to ``max_edges`` of the views, those that overlap most, but no two in a row.
+    """Choose up to ``max_edges`` views with the largest overlaps, ``separation`` views apart.
 
-    ``overlaps`` (K,) are in order of time. Two views close in time say much the same, so that
-    the next best one farther off is worth more.
+    ``overlaps`` (K,) are in order of time. Views close in time constrain a pose in the same way,
+    so the chosen ones are spread over time.
 
     >>> choose_covisible(np.array([0.6, 0.1, 0.5, 0.7, 0.9]), CovisibilityParams(separation=2))
     [0, 2, 4]

@@ -1,11 +1,11 @@
-"""Loop candidates: which older keyframes may show the place that the newest one shows.
+"""Loop candidates: older keyframes that may show the same place as the newest one.
 
-By *views* (``recogniser``), the product's way, or by *bags* of words, the paper's (section 3.4):
-for keyframe N and an older keyframe i, the score ``s(i, N)`` of their bags is divided by the
-score against the keyframe about one second before N, which tells what a good score is worth
-here: ``eta(i, N) = s(i, N) / s(N - tau, N)``. Either way the best are checked for contradicting
-scene labels and for time consistency. What is left open goes to geometric verification; what
-is above the upper threshold is accepted already, and goes there for its relative pose.
+They are proposed by depth views (``PlaceRecogniser``) or by bags of words, as in the paper
+(section 3.4). There, the score ``s(i, N)`` of keyframe N and an older keyframe i is divided by the
+score against the keyframe about one second before N, which shows how high scores are in this
+place: ``eta(i, N) = s(i, N) / s(N - tau, N)``. In both cases the best candidates are checked for
+contradicting scene labels and for time consistency. Open candidates are verified by geometry.
+Candidates above the upper threshold are accepted, and geometry only measures their relative pose.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ __all__ = ["LoopCounts", "LoopDetector", "LoopParams", "scene_agreement"]
 
 @dataclass(slots=True)
 class LoopCounts:
-    """Keyframes by how far their search for a loop came: the outputs of the paper's Table 10.
+    """Numbers of keyframes by the stage that their loop search reached (paper, Table 10).
 
-    Only keyframes with older ones to search; each is in one of ``candidate``, ``between``,
-    ``discarded`` and ``unjudged``, with several candidates by the one that came furthest.
+    Keyframes without older ones to search are not counted. Each other keyframe counts as one of
+    ``candidate``, ``between``, ``discarded`` and ``unjudged``, by its candidate that came furthest.
 
     Parameters
     ----------
     candidate
-        Pass the upper threshold; where there is none, the lower one.
+        The candidate is above the upper threshold, or above the lower one if there is no upper.
     approved
-        Of these, pass time consistency, and the check of scene labels.
+        It also passes time consistency and the check of scene labels.
     between
-        Neither pass the upper threshold nor stay below the lower one.
+        The candidate is between the two thresholds.
     discarded
-        Stay below the lower threshold (by views: of what both see), or nothing is alike at all.
+        The candidate is below the lower threshold, or there is none.
     unjudged
-        The normaliser is below its floor.
+        The normaliser is below its smallest value.
     """
 
     candidate: int = 0
@@ -64,23 +64,23 @@ class LoopCounts:
 
 
 class LoopDetector:
-    """Finds, for each keyframe in turn, the older ones that may show the same place.
+    """Finds the older keyframes that may show the same place as each new keyframe.
 
     Parameters
     ----------
     params
-        By which means, and what a candidate needs.
+        Parameters of the search.
     n_words
-        Words of the vocabulary, for bags.
+        Number of words of the vocabulary, for bags.
     gravity_odom
-        (3,) roughly down in the odometry's frame, for views.
+        (3,) rough direction of gravity in the odometry frame, for views.
     seed
-        Of what aligning views draws at random.
+        Seed of the random samples that alignment draws.
 
     Attributes
     ----------
     compare
-        Measures how far a keyframe agrees with others at given poses; None by bags.
+        Measures the agreement of a keyframe with others at given poses; None with bags.
     """
 
     def __init__(
@@ -99,14 +99,14 @@ class LoopDetector:
             self._ranking = BagRanking(params, n_words)
         else:
             recogniser = PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom, seed=seed)
-            self.compare = recogniser.agreement
+            self.compare = recogniser.aligner.agreement
             self._ranking = ViewRanking(params, recogniser)
         self._keyframes: list[Keyframe] = []
         self._maxima: list[tuple[int, ...]] = []
 
     def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
-        """Return the keyframe's candidates, and remember the keyframe."""
-        # What was seen before odometry was lost is a place to be found again, however young.
+        """Return the candidates of a keyframe, and store it."""
+        # Keyframes from before a loss of odometry are searched whatever their age.
         n_old = int(np.searchsorted([k.segment for k in self._keyframes], keyframe.segment))
         stamps_s = [k.stamp_s for k in self._keyframes[n_old:]]
         n_old += int(
@@ -123,7 +123,7 @@ class LoopDetector:
     def remember(
         self, keyframe: Keyframe, frame: DepthFrame, candidates: Sequence[Candidate]
     ) -> None:
-        """Take a keyframe of a saved map, whose candidates were found when it was made."""
+        """Store a keyframe of a saved map with the candidates that were found for it."""
         self._ranking.remember(keyframe, frame)
         self._maxima.append(
             tuple(c.match_id for c in candidates if c.source != CandidateSource.PROXIMITY)
@@ -131,23 +131,23 @@ class LoopDetector:
         self._keyframes.append(keyframe)
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
-        """Expect keyframes of another odometry, down in whose frame is ``gravity_odom`` (3,)."""
+        """Prepare for keyframes with another odometry frame and its rough gravity (3,)."""
         self.counts = LoopCounts()
         self._ranking.begin_session(gravity_odom)
 
     def state(self) -> dict[str, Any]:
-        """Return what keyframes and candidates do not tell, as JSON has it."""
+        """Return the state that keyframes and candidates do not contain, as JSON values."""
         return {"counts": asdict(self.counts), "ranking": self._ranking.state()}
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a state, with the keyframes remembered that it was of."""
+        """Restore a state, after its keyframes were stored."""
         self.counts = LoopCounts(**state["counts"])
         self._ranking.restore(state["ranking"])
 
     def on_loops_accepted(self, loops: Sequence[Loop]) -> None:
-        """Note accepted loops: where an older keyframe stands, the last is not searched for.
+        """Exclude the newest keyframe from later searches if an older one has the same viewpoint.
 
-        By bags all are found, as the paper has it.
+        With bags all keyframes are searched, as in the paper.
         """
         p, newest = self.params, self._keyframes[-1].id
         if any(
@@ -160,7 +160,7 @@ class LoopDetector:
             self._ranking.deactivate()
 
     def _check(self, keyframe: Keyframe, candidate: Candidate) -> Candidate:
-        """Measure semantic agreement and time consistency, and reject what fails."""
+        """Measure semantic agreement and time consistency; reject a candidate that fails."""
         p = self.params
         candidate = replace(
             candidate,
@@ -208,7 +208,7 @@ class LoopDetector:
         p = self.params
         if ranked.decision:
             return "unjudged" if ranked.normaliser < p.min_normaliser else "discarded"
-        # What views propose has no eta, and passes.
+        # Candidates from views have no eta (NaN), which is not below the threshold.
         below_upper = p.upper_threshold is not None and ranked.eta <= p.upper_threshold
         return "between" if below_upper else "candidate"
 
@@ -223,9 +223,9 @@ class LoopDetector:
 
 
 def scene_agreement(a: Scene | None, b: Scene | None) -> float:
-    """Return how well two label distributions agree, in [0, 1] (Bhattacharyya coefficient).
+    """Return the agreement of two label distributions in [0, 1] (Bhattacharyya coefficient).
 
-    Without a label on either side nothing contradicts: 1.
+    It is 1 if a label is missing.
     """
     if a is None or b is None:
         return 1.0

@@ -1,8 +1,8 @@
-"""Loops must agree with each other: a single one may be two places that look the same.
+"""Pairwise consistency of loops, since a single loop may connect two places that look the same.
 
-Two loops agree if going round them, by the one loop, the map between the queries, the other
-loop back and the map between the matches, ends where it began (the pairwise
-consistency of Mangelson et al., ICRA 2018, with fixed tolerances).
+Two loops agree if the circuit of one loop, the map between the queries, the other loop in reverse
+and the map between the matches closes: the pairwise consistency of Mangelson et al. (ICRA 2018),
+with fixed tolerances.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = ["ConsistencyGate", "ConsistencyParams", "agree", "circuit_errors"]
 
 
 class ConsistencyParams(Params):
-    """How many other loops must agree, and how well."""
+    """Number of other loops that must agree with a loop, and the tolerances."""
 
     n_required: int = Field(
         1,
@@ -66,11 +66,11 @@ class ConsistencyGate:
     def admit(
         self, loops: list[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
     ) -> list[Loop]:
-        """Take the verified loops of one keyframe; return those admitted now, old ones too.
+        """Add the verified loops of a keyframe; return all loops that now have enough agreement.
 
-        ``T_map_camera`` (K, 4, 4) are the keyframes' poses in the map so far, and ``components``
-        (K,) the component of each: each loop lies within one component, and only loops within the
-        same one can agree, as the pose between two components is arbitrary.
+        ``T_map_camera`` (K, 4, 4) are the poses of the keyframes in the map, and ``components``
+        (K,) their components. Each loop lies within one component. Only loops within the same
+        component can agree, because the pose between two components is arbitrary.
         """
         p = self.params
         if p.n_required == 0:
@@ -91,7 +91,7 @@ class ConsistencyGate:
         return admitted
 
     def _add_supporter(self, held: _Held, supporter_id: int) -> list[Loop]:
-        """Note a witness; return the loop if that makes it enough."""
+        """Add a supporter; return the loop if it now has just enough of them."""
         before = len(held.supporters)
         held.supporters.add(supporter_id)
         return [held.loop] if before < self.params.n_required <= len(held.supporters) else []
@@ -104,7 +104,7 @@ def agree(
     max_distance_m: float,
     max_angle_rad: float,
 ) -> NDArray[np.bool_]:
-    """Tell of each other loop, (n,), whether going round both ends where it began, nearly."""
+    """Return for each other loop (n,) whether its circuit with this one closes."""
     errors = circuit_errors(loop, others, T_map_camera)
     return np.asarray(
         (np.linalg.norm(errors[:, :3, 3], axis=1) <= max_distance_m)
@@ -113,9 +113,9 @@ def agree(
 
 
 def circuit_errors(loop: Loop, others: Sequence[Loop], T_map_camera: Array) -> Array:
-    """Return what is left, (n, 4, 4), of going round by a loop and back by each of the others.
+    """Return the error (n, 4, 4) of the circuit of a loop with each of the others.
 
-    In between the map leads, from query to query and from match to match.
+    The map leads from query to query and from match to match.
     """
     T_map_query = T_map_camera[[other.query_id for other in others]].reshape(-1, 4, 4)
     T_map_match = T_map_camera[[other.match_id for other in others]].reshape(-1, 4, 4)

@@ -14,7 +14,7 @@ from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import config as configs
 from slam_bof.store import MapStore, components_of
-from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene
+from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
 
 __all__ = ["LocalizedFrame", "MapLocalizer"]
 
@@ -52,8 +52,10 @@ class MapLocalizer:
         keyframes: list[Keyframe],
         labeller: Labeller | None,
         intrinsics: Intrinsics,
+        sensor: SensorParams,
     ) -> None:
         self.intrinsics = intrinsics
+        self._sensor = sensor
         self._localizer = localizer
         self._keyframes = keyframes
         self._labeller = labeller
@@ -95,6 +97,7 @@ class MapLocalizer:
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,
                 gravity_odom=config.gravity_odom,
+                sensor=config.sensor,
                 seed=config.seed,
             )
             for k in largest:
@@ -103,7 +106,7 @@ class MapLocalizer:
                     raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
                 localizer.add(frame, T_map_camera[k])
         own = [keyframes[k] for k in largest]
-        return cls(localizer, own, model.labeller(), camera)
+        return cls(localizer, own, model.labeller(), camera, config.sensor)
 
     def __len__(self) -> int:
         """Return the number of keyframes that images are compared with."""
@@ -121,6 +124,7 @@ class MapLocalizer:
             raise DatasetError(
                 f"found a frame of {frame.intrinsics}, expected the map's camera, {self.intrinsics}"
             )
+        frame = frame.with_sensor(self._sensor)
         localization = self._localizer.localize(frame)
         scene = None if self._labeller is None else self._labeller.label(frame)
         if localization.keyframe_id is None:

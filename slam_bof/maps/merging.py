@@ -62,7 +62,7 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
     sessions = target.sessions()
     _check_finished(target, paths[0])
     config = configs.parse_saved(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
-    keyframes = KeyframeMap.from_config(config, StageClock())
+    keyframes = KeyframeMap(config, StageClock())
     for record in replay_keyframes(target):
         while keyframes.session < record.keyframe.session:
             keyframes.begin_session()
@@ -125,7 +125,7 @@ def _add_session(
         keyframe = replace(
             old, id=len(keyframes), session=keyframes.session, segment=old.segment + later
         )
-        verified = keyframes.add_described(keyframe, restore_frame(record.depth, keyframe.stamp_s))
+        verified = keyframes.add(keyframe, restore_frame(record.depth, keyframe.stamp_s))
         own = tuple(frames[start : keyframe.frame_index + 1])
         start = keyframe.frame_index + 1
         target.write(

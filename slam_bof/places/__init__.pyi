@@ -2,8 +2,10 @@ from .localizer import (
     Localization as Localization,
     Localizer as Localizer,
 )
+from .params import (
+    RecogniserParams as RecogniserParams,
+)
 from .recogniser import (
     Compare as Compare,
     PlaceRecogniser as PlaceRecogniser,
-    RecogniserParams as RecogniserParams,
 )

@@ -19,6 +19,7 @@ from pydantic import Field
 from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import se3, view_points
 from slam_bof.places.map_consistency import KnownView, MapConsistency, MapConsistencyParams
+from slam_bof.places.params import RecogniserParams
 from slam_bof.places.perceptual_aliasing import PerceptualAliases, PerceptualAliasParams
 from slam_bof.places.pose_hypotheses import (
     HypothesisRegistration,
@@ -27,9 +28,9 @@ from slam_bof.places.pose_hypotheses import (
     group_hypotheses,
     mean_pose,
 )
-from slam_bof.places.recogniser import PlaceMatch, PlaceRecogniser, RecogniserParams
+from slam_bof.places.recogniser import PlaceMatch, PlaceRecogniser
 from slam_bof.ports import Verifier
-from slam_bof.types import DepthFrame, Params, Pose
+from slam_bof.types import DepthFrame, Params, Pose, SensorParams
 
 __all__ = ["Localization", "LocalizationParams", "Localizer"]
 
@@ -108,6 +109,8 @@ class Localizer:
         data of every frame that is localised.
     params, recogniser_params
         Parameters of localisation and of place recognition.
+    sensor
+        Range of the depth sensor.
     gravity_odom
         (3,) rough direction of gravity in the frame of ``T_odom_camera``.
     seed
@@ -128,17 +131,22 @@ class Localizer:
         params: LocalizationParams | None = None,
         *,
         recogniser_params: RecogniserParams | None = None,
+        sensor: SensorParams | None = None,
         gravity_odom: ArrayLike = (0.0, 1.0, 0.0),
         seed: int = 0,
     ) -> None:
         self.params = params or LocalizationParams()
+        self._sensor = sensor or SensorParams()
         self._recogniser = PlaceRecogniser(
             recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
         )
         self._T_map_camera = GrowingArray((4, 4), np.float64)
         self._registration = HypothesisRegistration(verifier, self._T_map_camera)
         self._consistency = MapConsistency(
-            self._recogniser, self._T_map_camera, self.params.consistency
+            self._recogniser,
+            self._T_map_camera,
+            self.params.consistency,
+            max_depth_m=self._sensor.max_depth_m,
         )
         self._aliases = PerceptualAliases(
             self._recogniser,
@@ -175,6 +183,7 @@ class Localizer:
         T_odom_camera = T_map_camera if T_odom_camera is None else T_odom_camera
         for T in (T_map_camera, T_odom_camera):
             se3.check_rigid(T)
+        frame = frame.with_sensor(self._sensor)
         keyframe_id = self._recogniser.add(frame, T_odom_camera)
         self._registration.add(frame)
         self._T_map_camera.append(T_map_camera)
@@ -202,6 +211,7 @@ class Localizer:
         """
         if len(self) == 0:
             return Localization(reason="the map has no keyframes")
+        frame = frame.with_sensor(self._sensor)
         n_points = len(view_points(frame))
         if n_points < self.params.min_points:
             return Localization(
@@ -213,7 +223,7 @@ class Localizer:
             self._registration.temporary_query(frame) as prepared,
         ):
             query = _Query(self._consistency.known_view(view_id, frame.intrinsics), prepared)
-            matches = self._recogniser.recognise_alone(view_id, len(self))
+            matches = self._recogniser.recognise(view_id, len(self), follow=False)
             return self._select_pose(query, matches[: self.params.n_verified])
 
     def _select_pose(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:

@@ -27,11 +27,6 @@ N_POINTS = 200
 class MapConsistencyParams(Params):
     """Limits on the deviation of a view from the keyframes around its pose."""
 
-    max_range_m: float = Field(
-        8.0,
-        gt=0,
-        description="Depth that bounds the frustum of a view, in m.",
-    )
     min_near: float = Field(
         0.1,
         gt=0,
@@ -96,23 +91,31 @@ class MapConsistency:
         Stores the views of keyframes and of temporary queries.
     T_map_camera
         Poses (K, 4, 4) of the keyframes. Rows may be added together with views.
+    max_depth_m
+        Depth that bounds the frustum of a view.
     """
 
     def __init__(
-        self, recogniser: PlaceRecogniser, T_map_camera: GrowingArray, params: MapConsistencyParams
+        self,
+        recogniser: PlaceRecogniser,
+        T_map_camera: GrowingArray,
+        params: MapConsistencyParams,
+        *,
+        max_depth_m: float,
     ) -> None:
         self.params = params
+        self._max_depth_m = max_depth_m
         self._recogniser = recogniser
         self._T_map_camera = T_map_camera
         self._limits: tuple[int, Coverage] | None = None
 
     def known_view(self, view_id: int, camera: Intrinsics) -> KnownView:
         """Return a stored view of the recogniser."""
-        return KnownView(view_id, self._recogniser.points_camera(view_id, N_POINTS), camera)
+        return KnownView(view_id, self._recogniser.aligner.sampled(view_id, N_POINTS), camera)
 
     def overlaps(self, view: KnownView, T_map_view: Pose) -> Array:
         """Return the share (K,) of a view's points in each keyframe's frustum, 0 for itself."""
-        T_map_camera, far_m = self._T_map_camera.rows, self.params.max_range_m
+        T_map_camera, far_m = self._T_map_camera.rows, self._max_depth_m
         overlaps = view_overlap(view.points_camera, T_map_view, T_map_camera, view.camera, far_m)
         if view.view_id < len(overlaps):
             overlaps[view.view_id] = 0.0
@@ -130,7 +133,7 @@ class MapConsistency:
         if len(near) == 0:
             return None
         T_near_view = se3.inverse(self._T_map_camera.rows[near]) @ T_map_view
-        return self._recogniser.coverage(view.view_id, near, T_near_view)
+        return self._recogniser.aligner.coverage(view.view_id, near, T_near_view)
 
     def limits(self, camera: Intrinsics) -> Coverage:
         """Return the smallest visible and inlier ratios and the largest free-space violations."""

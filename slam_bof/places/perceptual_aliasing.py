@@ -125,8 +125,8 @@ class PerceptualAliases:
         is_near = self._distances_m(T_map_camera) < p.same_place_m
         is_same = is_near & (overlaps >= p.same_place_overlap)
         is_same[keyframe_id] = True
-        matches = self._recogniser.recognise_alone(
-            keyframe_id, len(is_same), exclude=np.flatnonzero(is_same)
+        matches = self._recogniser.recognise(
+            keyframe_id, len(is_same), exclude=np.flatnonzero(is_same), follow=False
         )[: p.n_verified]
         hypotheses, _ = self._registration.register(
             self._registration.keyframe(keyframe_id),

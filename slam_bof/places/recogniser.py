@@ -11,82 +11,37 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from slam_bof.bof import (
-    ConstellationParams,
     camera_motions,
     describe_constellation,
 )
 from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import (
     Agreement,
-    AlignmentParams,
-    Coverage,
     GravityTracker,
     ViewAligner,
     make_view,
     se3,
     view_points,
 )
-from slam_bof.places.view_index import ViewIndex, ViewIndexParams
-from slam_bof.types import Array, DepthFrame, Params, Pose
+from slam_bof.places.followed_matches import FollowedMatches
+from slam_bof.places.params import RecogniserParams
+from slam_bof.places.view_index import ViewIndex
+from slam_bof.types import Array, DepthFrame, Pose
 
-__all__ = ["Compare", "PlaceMatch", "PlaceRecogniser", "RecogniserParams"]
+__all__ = ["Compare", "PlaceMatch", "PlaceRecogniser"]
 
 UPRIGHT = np.array([0.0, 1.0, 0.0])
 """Direction of gravity in the frame of an upright camera."""
 
 Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 """Measures the agreement of a view with others (n,) at poses ``T_match_query`` (n, 4, 4)."""
-
-
-class RecogniserParams(Params):
-    """Parameters of place recognition: sizes of the shortlists, and ranking of alignments."""
-
-    n_aligned: int = Field(
-        20,
-        ge=0,
-        description="Number of views that are aligned with the query; up to half of them are "
-        "followed.",
-    )
-    n_followed: int = Field(
-        5,
-        ge=0,
-        description="Number of matches of the last view that are followed by odometry.",
-    )
-    n_neighbours: int = Field(
-        2,
-        ge=0,
-        description="Number of views before and after such a match that are aligned too.",
-    )
-    overlap_saturation: float = Field(
-        0.55,
-        ge=0,
-        description="Inlier ratio, less free-space violations, beyond which more hardly counts.",
-    )
-    near_bonus: float = Field(
-        0.1,
-        ge=0,
-        description="Largest bonus in the score for a view from the same viewpoint.",
-    )
-    near_m: float = Field(
-        0.3,
-        gt=0,
-        description="Distance between viewpoints at which that bonus falls off, in m.",
-    )
-    near_deg: float = Field(
-        25.0,
-        gt=0,
-        description="Angle between viewpoints at which that bonus falls off, in degrees.",
-    )
-    constellation: ConstellationParams = ConstellationParams()
-    search: ViewIndexParams = ViewIndexParams()
-    alignment: AlignmentParams = AlignmentParams()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,6 +84,11 @@ class PlaceRecogniser:
     never_lost
         Whether all poses are correct; see ``GravityTracker``.
 
+    Attributes
+    ----------
+    aligner
+        Stores the views by their ids, and measures how far they agree.
+
     Examples
     --------
     >>> recogniser = PlaceRecogniser()
@@ -147,12 +107,11 @@ class PlaceRecogniser:
         never_lost: bool = False,
     ) -> None:
         self.params = params or RecogniserParams()
-        self._gravity = GravityTracker(gravity_odom, never_lost=never_lost)
+        self._gravity = GravityTracker(gravity_odom, self.params.gravity, never_lost=never_lost)
         self._index = ViewIndex(self.params.search)
         self._R_level_camera = GrowingArray((3, 3), np.float64)
-        self._T_odom_camera = GrowingArray((4, 4), np.float64)
-        self._aligner = ViewAligner(self.params.alignment, seed=seed)
-        self._last_matches: tuple[int, list[PlaceMatch]] = (0, [])
+        self._followed = FollowedMatches()
+        self.aligner = ViewAligner(self.params.alignment, seed=seed)
 
     def __len__(self) -> int:
         """Return the number of stored views."""
@@ -170,8 +129,8 @@ class PlaceRecogniser:
     ) -> Iterator[int]:
         """Store a view without odometry for the duration of a ``with`` block.
 
-        The block receives the id of the view for queries (``recognise_alone``). It must not add
-        views.
+        The block receives the id of the view for ``recognise(..., follow=False)``. It must
+        not add views.
 
         Parameters
         ----------
@@ -190,14 +149,14 @@ class PlaceRecogniser:
         if gravity_camera is None:
             # The mean tilt of the stored views is the best initial guess.
             reference = self._R_level_camera.rows[:, 1].sum(axis=0) + UPRIGHT
-            tracker = GravityTracker(reference, never_lost=True)
+            tracker = GravityTracker(reference, self.params.gravity, never_lost=True)
             gravity_camera = tracker.update(make_view(frame).known_normals(), np.eye(4))
         view_id = self._add(frame, np.eye(4), np.asarray(gravity_camera, dtype=np.float64))
         try:
             yield view_id
         finally:
             self.deactivate()
-            for store in (self._aligner, self._T_odom_camera, self._R_level_camera):
+            for store in (self.aligner, self._followed, self._R_level_camera):
                 store.truncate(view_id)
 
     def deactivate(self) -> None:
@@ -209,53 +168,71 @@ class PlaceRecogniser:
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Prepare for views with another odometry frame and its rough gravity ``gravity_odom``."""
-        self._gravity = GravityTracker(gravity_odom)
-        self._last_matches = (0, [])
+        self._gravity = GravityTracker(gravity_odom, self.params.gravity)
+        self._followed.follow(0, [])
 
     def state(self) -> list[Any]:
         """Return the matches that are followed, as JSON values."""
-        view_id, matches = self._last_matches
-        return [view_id, [[match.view_id, match.T_match_query.tolist()] for match in matches]]
+        return self._followed.state()
 
     def restore(self, state: list[Any]) -> None:
         """Restore the matches that are followed from ``state``."""
-        view_id, matches = state
-        self._last_matches = (
-            view_id,
-            [PlaceMatch(match_id, np.nan, np.array(T), np.nan, np.nan) for match_id, T in matches],
-        )
+        self._followed.restore(state)
 
     @property
     def nbytes(self) -> int:
         """Size of all stored views in bytes."""
-        return self._aligner.nbytes + self._index.nbytes + self._R_level_camera.rows.nbytes
+        return self.aligner.nbytes + self._index.nbytes + self._R_level_camera.rows.nbytes
 
-    def agreement(
-        self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
-    ) -> Agreement:
-        """Measure the agreement of a view with others (n,) at poses (n, 4, 4)."""
-        return self._aligner.agreement(view_id, match_ids, T_match_query)
-
-    def points_camera(self, view_id: int, n_points: int) -> Array:
-        """Return ``n_points`` points (n, 3) of a view, with repetition if it has fewer."""
-        return self._aligner.sampled(view_id, n_points)
-
-    def coverage(
-        self, view_id: int, match_ids: NDArray[np.integer[Any]], T_match_query: Array
-    ) -> Coverage:
-        """Measure the agreement of a view with others (n,) together, at poses (n, 4, 4)."""
-        return self._aligner.coverage(view_id, match_ids, T_match_query)
-
-    def recognise(self, view_id: int, n_views: int) -> list[PlaceMatch]:
-        """Return those of the first ``n_views`` views that may match this one, best first."""
-        return self.rank(view_id, self.retrieve(view_id, n_views))
-
-    def recognise_alone(
-        self, view_id: int, n_views: int, *, exclude: NDArray[np.integer[Any]] | None = None
+    @one_blas_thread()
+    def recognise(
+        self,
+        view_id: int,
+        n_views: int,
+        *,
+        exclude: NDArray[np.integer[Any]] | None = None,
+        follow: bool = True,
     ) -> list[PlaceMatch]:
-        """Recognise a view without following earlier matches; views ``exclude`` are left out."""
+        """Return those of the first ``n_views`` views that may match this one, best first.
+
+        The search index proposes views, and so do the matches of the last query, propagated by
+        odometry. All proposals are aligned with this view and ranked.
+
+        Parameters
+        ----------
+        view_id, n_views
+            The query, and the number of views that are searched.
+        exclude
+            Ids of views that the search index leaves out.
+        follow
+            Whether to use the matches of the last query, and to keep the best matches of this one
+            for the next query. This requires that the query was added with its odometry.
+        """
+        p = self.params
         shortlist = self.retrieve(view_id, n_views, exclude=exclude)
-        return self._rank(view_id, shortlist.view_ids, shortlist.starts)
+        ids, starts = shortlist.view_ids, shortlist.starts
+        if follow:
+            near = partial(self._index.neighbours, n=p.n_neighbours, below=n_views)
+            ids, starts = self._merge(shortlist, self._followed.propose(view_id, near))
+        if len(ids) == 0:
+            return []
+        T = self.aligner.align(view_id, ids, starts)
+        inlier_ratio, free_space_violation, _ = self.aligner.agreement(view_id, ids, T)
+        scores = self._score(T, inlier_ratio - free_space_violation)
+        matches = [
+            PlaceMatch(
+                view_id=int(ids[k]),
+                score=float(scores[k]),
+                T_match_query=T[k],
+                inlier_ratio=float(inlier_ratio[k]),
+                free_space_violation=float(free_space_violation[k]),
+            )
+            for k in np.argsort(-scores, kind="stable")
+        ]
+        if follow:
+            best = matches[: p.n_followed]
+            self._followed.follow(view_id, [(m.view_id, m.T_match_query) for m in best])
+        return matches
 
     @one_blas_thread()
     def retrieve(
@@ -272,52 +249,14 @@ class PlaceRecogniser:
         unmoved = np.broadcast_to(np.eye(4), moved.shape)
         return Shortlist(found.scores, found.view_ids, np.stack([moved, unmoved], axis=1))
 
-    @one_blas_thread()
-    def rank(self, view_id: int, shortlist: Shortlist) -> list[PlaceMatch]:
-        """Align a view with a shortlist and with the matches followed by odometry; rank them.
+    def _merge(
+        self, shortlist: Shortlist, followed: dict[int, Pose]
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Return ``n_aligned`` views and initial poses, from the shortlist and followed matches.
 
-        The best of the result are followed to the next view that is ranked.
-        """
-        ids, starts = self._follow(view_id, shortlist)
-        matches = self._rank(view_id, ids, starts)
-        if matches:
-            self._last_matches = (view_id, matches[: self.params.n_followed])
-        return matches
-
-    def _rank(self, view_id: int, ids: NDArray[np.intp], starts: Array) -> list[PlaceMatch]:
-        if len(ids) == 0:
-            return []
-        T = self._aligner.align(view_id, ids, starts)
-        inlier_ratio, free_space_violation, _ = self._aligner.agreement(view_id, ids, T)
-        scores = self._score(T, inlier_ratio - free_space_violation)
-        return [
-            PlaceMatch(
-                int(ids[k]),
-                float(scores[k]),
-                T[k],
-                float(inlier_ratio[k]),
-                float(free_space_violation[k]),
-            )
-            for k in np.argsort(-scores, kind="stable")
-        ]
-
-    def _follow(self, view_id: int, shortlist: Shortlist) -> tuple[NDArray[np.intp], Array]:
-        """Return ``n_aligned`` views and initial poses, from the shortlist and the last matches.
-
-        If a last match leads to a view of the shortlist, its pose replaces the initial pose
+        If a followed match leads to a view of the shortlist, its pose replaces the initial pose
         without motion.
         """
-        T_odom_camera = self._T_odom_camera.rows
-        last_id, matches = self._last_matches
-        T_last_query = se3.inverse(T_odom_camera[last_id]) @ T_odom_camera[view_id]
-        followed: dict[int, Pose] = {}
-        for match in matches:
-            T_match_query = match.T_match_query @ T_last_query
-            T_odom_query = T_odom_camera[match.view_id] @ T_match_query
-            for near in self._index.neighbours(
-                match.view_id, self.params.n_neighbours, len(shortlist.scores)
-            ):
-                followed.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
         ids, starts = shortlist.view_ids, shortlist.starts.copy()
         for k, listed in enumerate(ids):
             starts[k, -1] = followed.pop(int(listed), starts[k, -1])
@@ -331,8 +270,8 @@ class PlaceRecogniser:
     @one_blas_thread()
     def _add(self, frame: DepthFrame, T_odom_camera: Pose, gravity_camera: Array) -> int:
         described = describe_constellation(frame, gravity_camera, self.params.constellation)
-        self._aligner.add(make_view(frame))
-        self._T_odom_camera.append(T_odom_camera)
+        self.aligner.add(make_view(frame))
+        self._followed.add(T_odom_camera)
         self._R_level_camera.append(described.R_level_camera)
         points_level = view_points(frame) @ described.R_level_camera.T.astype(np.float32)
         self._index.add(len(self) - 1, described.bofs, points_level)

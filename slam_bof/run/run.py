@@ -13,6 +13,7 @@ from slam_bof.core import StageClock, Usage, registry
 from slam_bof.errors import MapError
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
+from slam_bof.run.logging_observer import LoggingObserver
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
@@ -26,7 +27,6 @@ from slam_bof.slam import (
     of_session,
 )
 from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
-from slam_bof.types import Step
 
 __all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
 
@@ -52,34 +52,6 @@ class RunInterrupted(KeyboardInterrupt):
         super().__init__(f"{folder}: interrupted after {n_frames} frames")
         self.folder = folder
         self.n_frames = n_frames
-
-
-class LoggingObserver:
-    """Logs warnings and where odometry is lost and recovered, and informs another observer."""
-
-    def __init__(self, observer: Observer) -> None:
-        self.n_frames = 0
-        self._observer = observer
-        self._is_lost = False
-
-    def on_start(self, n_frames: int) -> None:
-        """Inform the other observer."""
-        self._observer.on_start(n_frames)
-
-    def on_step(self, frame_index: int, step: Step) -> None:
-        """Log where odometry is lost and recovered, and inform the other observer."""
-        self.n_frames += 1
-        if step.is_lost != self._is_lost:
-            self._is_lost = step.is_lost
-            logger.warning(
-                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "recovered"
-            )
-        self._observer.on_step(frame_index, step)
-
-    def on_warning(self, message: str) -> None:
-        """Log the warning and inform the other observer."""
-        logger.warning(message)
-        self._observer.on_warning(message)
 
 
 def run_sequence(
@@ -126,11 +98,7 @@ def run_sequence(
         store = None
         if map_file is not None:
             # Opened first: a damaged map, or one in use, must leave no folder behind.
-            is_there = map_file.exists()
-            store = (
-                MapStore.open(map_file, read_only=False) if is_there else MapStore.create(map_file)
-            )
-            stack.enter_context(store)
+            store = stack.enter_context(_open_map(map_file))
             _check_ready(store, dataset, job.closer.map.model_hash)
         folder = make_folder(out)
         stack.enter_context(as_run_errors(folder))
@@ -222,6 +190,13 @@ class _Job:
         closer = LoopCloser.from_config(config, clock=clock)
         logging_observer = LoggingObserver(observer or NullObserver())
         return cls(dataset, config, logging_observer, max_frames, clock, odometry, closer)
+
+
+def _open_map(map_file: Path) -> MapStore:
+    """Open a map to add a session to it; create it if it does not exist."""
+    if map_file.exists():
+        return MapStore.open(map_file, read_only=False)
+    return MapStore.create(map_file)
 
 
 def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: bool) -> RunResult:

@@ -121,14 +121,15 @@ def save(model: Model, path: str | Path) -> None:
     os.replace(unfinished, path)
 
 
-def resolve(name: str | Path = DEFAULT) -> Model:
-    """Read a model by name, one of ``INCLUDED``, or by the path of a file.
+def resolve(name: str | Path | None = None) -> Model:
+    """Read a model by name, one of ``INCLUDED``, or by the path of a file; None is the default.
 
     Raises
     ------
     ModelError
         As ``load``.
     """
+    name = DEFAULT if name is None else name
     if name not in INCLUDED:
         return load(name)
     file = _included_file(str(name))

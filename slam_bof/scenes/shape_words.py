@@ -22,7 +22,6 @@ from slam_bof.bof import (
     find_contours,
     layer_images,
 )
-from slam_bof.core import thread_buffer
 from slam_bof.scenes.levelled_cloud import LevelledCloud
 from slam_bof.types import Contours
 
@@ -80,9 +79,7 @@ def shape_descriptors(cloud: LevelledCloud) -> NDArray[np.float32]:
 
 def _contours(points: NDArray[np.float32], layers: LayerParams) -> Contours:
     margin_px = CONTOURS.margin_px
-    side = layers.resolution_px + 2 * margin_px
-    out = thread_buffer("shapes", (layers.n_layers, side, side))
-    images = layer_images(points, layers, margin_px=margin_px, out=out)
+    images = layer_images(points, layers, margin_px=margin_px)
     return find_contours(images, CONTOURS, margin_px=margin_px)
 
 

@@ -11,11 +11,11 @@ from pydantic import Field, ValidationError, field_validator
 
 from slam_bof.core import describe_error, registry, suggest
 from slam_bof.errors import ConfigError
-from slam_bof.geometry import PointParams
+from slam_bof.geometry import PointParams, VirtualCameraParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
 from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
-from slam_bof.types import Params
+from slam_bof.types import Params, SensorParams
 
 __all__ = [
     "Config",
@@ -110,6 +110,8 @@ class Config(Params):
     backend: PluginChoice = Field(
         PluginChoice(name="gtsam"), description="Plug-in that optimises the pose graph."
     )
+    sensor: SensorParams = SensorParams()
+    virtual_camera: VirtualCameraParams = VirtualCameraParams()
     tracking: TrackingParams = TrackingParams()
     keyframes: KeyframeParams = KeyframeParams()
     labels: SceneFilterParams = SceneFilterParams()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from slam_bof.core import StageClock, registry
 from slam_bof.geometry import (
@@ -18,7 +18,6 @@ from slam_bof.geometry import (
     view_stride,
 )
 from slam_bof.loops import (
-    CovisibilityParams,
     LoopCounts,
     LoopDetector,
     LoopVerification,
@@ -26,7 +25,7 @@ from slam_bof.loops import (
     choose_covisible,
 )
 from slam_bof.ports import Backend
-from slam_bof.scenes import Model, SceneFilter, SceneFilterParams, model as models
+from slam_bof.scenes import SceneFilter, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.pose_graph import MapGraph
 from slam_bof.types import (
@@ -68,62 +67,34 @@ class KeyframeMap:
         ``T_map_camera = T_map_track @ T_odom_camera``.
     """
 
-    def __init__(
-        self,
-        *,
-        model: Model,
-        detector: LoopDetector,
-        labels: SceneFilterParams,
-        covisibility: CovisibilityParams,
-        cloud: PointParams,
-        gravity_odom: ArrayLike,
-        verification: LoopVerification,
-        backend: Backend,
-        clock: StageClock,
-    ) -> None:
+    def __init__(self, config: Config, clock: StageClock) -> None:
+        model = models.resolve(config.model)
         self.keyframes: list[Keyframe] = []
         self.first_keyframe = 0
         self.session = 0
-        self.graph = MapGraph(backend)
         self.T_map_track: Pose = np.eye(4)
         self.model_hash = model.content_hash
+        self._config = config
+        self._gravity_odom = np.asarray(config.gravity_odom, dtype=np.float64)
         self._describer = model.describer()
         self._labeller = model.labeller()
-        self._labels = labels
-        self._scene_filter = SceneFilter(labels)
-        self._detector = detector
-        self._covisibility = covisibility
-        self._cloud = cloud
-        self._gravity_odom = np.asarray(gravity_odom, dtype=np.float64)
-        self._verification = verification
-        self._clock = clock
-
-    @classmethod
-    def from_config(cls, config: Config, clock: StageClock) -> Self:
-        """Build a map from a configuration."""
-        model = models.resolve(config.model)
-        detector = LoopDetector(
+        self._scene_filter = SceneFilter(config.labels)
+        self._detector = LoopDetector(
             config.loops,
             model.vocabulary.n_words,
             gravity_odom=config.gravity_odom,
             seed=config.seed,
         )
-        return cls(
-            model=model,
-            detector=detector,
-            labels=config.labels,
-            covisibility=config.covisibility,
-            cloud=config.cloud,
-            gravity_odom=config.gravity_odom,
-            verification=LoopVerification(
-                registry.build("verifiers", config.verifier.name, config.verifier.options),
-                config.verification,
-                compare=detector.compare,
-                seed=config.seed,
-            ),
-            backend=registry.build("backends", config.backend.name, config.backend.options),
-            clock=clock,
+        self._verification = LoopVerification(
+            registry.build("verifiers", config.verifier.name, config.verifier.options),
+            config.verification,
+            compare=self._detector.compare,
+            seed=config.seed,
         )
+        self.graph = MapGraph(
+            registry.build("backends", config.backend.name, config.backend.options)
+        )
+        self._clock = clock
 
     def __len__(self) -> int:
         """Return the number of keyframes."""
@@ -173,12 +144,12 @@ class KeyframeMap:
         self.session += 1
         self.first_keyframe = len(self)
         self._detector.begin_session(self._gravity_odom)
-        self._scene_filter = SceneFilter(self._labels)
+        self._scene_filter = SceneFilter(self._config.labels)
 
-    def add(
+    def describe(
         self, frame_index: int, frame: DepthFrame, T_odom_camera: Pose, *, segment: int
-    ) -> Verified:
-        """Add a frame as the newest keyframe; return the decisions about its loop candidates."""
+    ) -> Keyframe:
+        """Describe and label a frame as the next keyframe."""
         with self._clock.stage("describe"):
             gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
             bag = self._describer.describe(frame, gravity_camera=gravity_camera)
@@ -192,7 +163,7 @@ class KeyframeMap:
                     axis=T_odom_camera[:3, 2],
                     segment=segment,
                 )
-        keyframe = Keyframe(
+        return Keyframe(
             id=len(self),
             frame_index=frame_index,
             stamp_s=frame.stamp_s,
@@ -203,10 +174,10 @@ class KeyframeMap:
             smoothed=smoothed,
             session=self.session,
         )
-        return self.add_described(keyframe, frame)
 
-    def add_described(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
-        """Add a keyframe whose bag of words and scene label are known."""
+    def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
+        """Add the newest keyframe; return the decisions about its loop candidates."""
+        frame = frame.with_sensor(self._config.sensor)
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
             found = self._detector.find(keyframe, frame)
@@ -228,7 +199,8 @@ class KeyframeMap:
 
     def replay(self, record: KeyframeRecord) -> None:
         """Replay a saved keyframe: restore labels, index and graph without searching again."""
-        keyframe, frame = record.keyframe, restore_frame(record.depth, record.keyframe.stamp_s)
+        keyframe = record.keyframe
+        frame = restore_frame(record.depth, keyframe.stamp_s).with_sensor(self._config.sensor)
         if keyframe.scene is not None:
             T_odom_camera = keyframe.T_odom_camera
             self._scene_filter.update(
@@ -264,9 +236,10 @@ class KeyframeMap:
     def _cloud_params(self, frame: DepthFrame) -> PointParams:
         """Return the parameters of the point cloud, limited to pixels that a saved map keeps."""
         saved_stride = view_stride(frame.intrinsics)
-        if self._cloud.stride % saved_stride == 0:
-            return self._cloud
-        return self._cloud.model_copy(update={"stride": saved_stride})
+        cloud = self._config.cloud
+        if cloud.stride % saved_stride == 0:
+            return cloud
+        return cloud.model_copy(update={"stride": saved_stride})
 
     def _find_covisible(
         self,
@@ -277,7 +250,7 @@ class KeyframeMap:
         found: set[int],
     ) -> list[Candidate]:
         """Return keyframes, without ``found``, that see the same surfaces according to the map."""
-        p = self._covisibility
+        p = self._config.covisibility
         stride = max(1, len(points) // N_OVERLAP_POINTS)
         overlaps = view_overlap(
             points[::stride], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m

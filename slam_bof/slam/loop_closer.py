@@ -8,20 +8,27 @@ from pathlib import Path
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from slam_bof.core import StageClock, one_blas_thread
-from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3, subsample
+from slam_bof.geometry import (
+    CloudCamera,
+    quantize_depth,
+    restore_frame,
+    se3,
+    subsample,
+)
+from slam_bof.loops import Verified
 from slam_bof.slam.config import Config, load, preset
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
-from slam_bof.tracking import KeyframeSelector, Track, Tracker, TrackingParams
+from slam_bof.tracking import KeyframeSelector, Track, Tracker
 from slam_bof.types import (
     LOST,
     Array,
     DepthFrame,
     FramePose,
     Intrinsics,
+    Keyframe,
     KeyframeRecord,
     Pose,
     Step,
@@ -46,25 +53,21 @@ class LoopCloser:
 
     def __init__(
         self,
-        keyframes: KeyframeMap,
+        config: Config,
         *,
-        tracking: TrackingParams,
-        selector: KeyframeSelector,
-        gravity_odom: ArrayLike,
-        seed: int = 0,
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> None:
         self.history = FrameHistory()
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""
-        self._map = keyframes
-        self._tracking, self._seed = tracking, seed
-        self._tracker = Tracker(tracking, seed=seed)
-        self._selector = selector
+        self._tracker = Tracker(config.tracking, seed=config.seed)
+        self._selector = KeyframeSelector(config.keyframes)
         self._clock = clock or StageClock()
+        self._config = config
+        self._map = KeyframeMap(config, self._clock)
         self._camera: Intrinsics | None = None
-        self._cloud_camera = CloudCamera(gravity_odom)
+        self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
     @classmethod
     def from_preset(cls, name: str = "indoor", *, journal: Journal | None = None) -> Self:
@@ -84,19 +87,16 @@ class LoopCloser:
         ``journal`` is called with the record of each new keyframe.
         """
         config = config if isinstance(config, Config) else load(Path(config))
-        clock = clock or StageClock()
-        return cls(
-            KeyframeMap.from_config(config, clock),
-            selector=KeyframeSelector(config.keyframes),
-            tracking=config.tracking,
-            gravity_odom=config.gravity_odom,
-            seed=config.seed,
-            journal=journal,
-            clock=clock,
-        )
+        return cls(config, journal=journal, clock=clock)
 
-    def process(self, frame: DepthFrame, T_odom_camera: Pose) -> Step:
+    @one_blas_thread()
+    def process(
+        self, frame: DepthFrame, T_odom_camera: Pose, *, T_view_camera: Pose | None = None
+    ) -> Step:
         """Process a frame and its odometry pose (4, 4); return the correction by the map.
+
+        ``T_view_camera`` (4, 4) is the pose of the sensor in the camera of the frame, if the frame
+        was projected from a point cloud; see ``FramePose``.
 
         Raises
         ------
@@ -105,7 +105,36 @@ class LoopCloser:
             or the pose is not a finite rigid transform. Such a frame is ignored, and the next call
             may continue.
         """
-        return self._process(frame, T_odom_camera)
+        frame_index = len(self.history)
+        T_odom_camera = self._check(frame, T_odom_camera)
+        frame = quantize_depth(frame.with_sensor(self._config.sensor))
+        with self._clock.stage("track"):
+            track = self._tracker.track(frame, T_odom_camera)
+        segment = LOST if track.is_lost else track.segment
+        self.history.frames.append(
+            FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
+        )
+        if self._begins_segment(track):
+            self._selector.reset()
+            # Relocalisation was confirmed by the frame before, so it belongs to the new segment.
+            self.history.assign_previous(track.segment)
+        if not track.is_lost and self._selector.select(
+            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
+        ):
+            self._tracker.keep()
+            unsaved = tuple(self.frames_since_keyframe)
+            keyframe = self._map.describe(
+                frame_index, frame, track.T_odom_camera, segment=track.segment
+            )
+            verified = self._map.add(keyframe, frame)
+            self._save(keyframe, frame, unsaved, verified)
+            loops, candidates = tuple(verified.admitted), tuple(verified.candidates)
+            step = Step(keyframe, keyframe.scene, loops, candidates, np.eye(4))
+        else:
+            scene = self._map.keyframes[-1].scene if self._map.keyframes else None
+            step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
+        T_map_camera = self._map.T_map_track @ track.T_odom_camera
+        return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
 
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
         """Process a point cloud instead of a depth image, like ``process``.
@@ -134,7 +163,7 @@ class LoopCloser:
         has_camera = self._camera is not None
         frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
         T_odom_view = T_odom_camera @ T_camera_view
-        step = self._process(frame, T_odom_view, se3.inverse(T_camera_view))
+        step = self.process(frame, T_odom_view, T_view_camera=se3.inverse(T_camera_view))
         if not has_camera and not frame.depth.any():
             self._camera = None  # the cloud was empty, so the next camera counts as the first
         return step
@@ -174,7 +203,8 @@ class LoopCloser:
             self._map.replay(record)
         if record is None or not record.state:
             return  # a pruned map cannot be resumed, only continued by another session
-        frame, last = restore_frame(record.depth, record.keyframe.stamp_s), record.frames[-1]
+        frame = restore_frame(record.depth, record.keyframe.stamp_s)
+        frame, last = frame.with_sensor(self._config.sensor), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
         self._tracker.restore(record.state["tracker"], frame, track)
         self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
@@ -191,7 +221,7 @@ class LoopCloser:
         self._map.begin_session()
         self.history = FrameHistory()
         segment = self._map.keyframes[-1].segment + 1 if self._map.keyframes else 0
-        self._tracker = Tracker(self._tracking, seed=self._seed, segment=segment)
+        self._tracker = Tracker(self._config.tracking, seed=self._config.seed, segment=segment)
         self._selector.reset()
 
     @property
@@ -215,11 +245,8 @@ class LoopCloser:
         own = self._map.of_session
         return self.history.frames[own[-1].frame_index + 1 if own else 0 :]
 
-    @one_blas_thread()
-    def _process(
-        self, frame: DepthFrame, T_odom_camera: Pose, T_view_camera: Pose | None = None
-    ) -> Step:
-        frame_index = len(self.history)
+    def _check(self, frame: DepthFrame, T_odom_camera: Pose) -> Pose:
+        """Check the input of ``process``; return the pose as float64."""
         last_s = self.history.last_stamp_s
         if not last_s < frame.stamp_s < np.inf:
             raise ValueError(f"time stamps must increase, got {frame.stamp_s} s after {last_s} s")
@@ -230,30 +257,10 @@ class LoopCloser:
         try:
             se3.check_rigid(T_odom_camera)
         except ValueError as error:
-            place = f"T_odom_camera of frame {frame_index}, at {frame.stamp_s} s"
+            place = f"T_odom_camera of frame {len(self.history)}, at {frame.stamp_s} s"
             raise ValueError(f"{place}: {error}") from None
         self._camera = camera
-        frame = quantize_depth(frame)
-        with self._clock.stage("track"):
-            track = self._tracker.track(frame, T_odom_camera)
-        segment = LOST if track.is_lost else track.segment
-        self.history.frames.append(
-            FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
-        )
-        if self._begins_segment(track):
-            self._selector.reset()
-            # Relocalisation was confirmed by the frame before, so it belongs to the new segment.
-            self.history.assign_previous(track.segment)
-        if not track.is_lost and self._selector.select(
-            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
-        ):
-            self._tracker.keep()
-            step = self._add_keyframe(frame_index, frame, track)
-        else:
-            scene = self._map.keyframes[-1].scene if self._map.keyframes else None
-            step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
-        T_map_camera = self._map.T_map_track @ track.T_odom_camera
-        return replace(step, T_map_odom=T_map_camera @ se3.inverse(T_odom_camera))
+        return T_odom_camera
 
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""
@@ -263,26 +270,28 @@ class LoopCloser:
             and self._map.keyframes[-1].segment != track.segment
         )
 
-    def _add_keyframe(self, frame_index: int, frame: DepthFrame, track: Track) -> Step:
-        unsaved = tuple(self.frames_since_keyframe)
-        verified = self._map.add(frame_index, frame, track.T_odom_camera, segment=track.segment)
-        keyframe = self._map.keyframes[-1]
-        candidates, admitted = tuple(verified.candidates), tuple(verified.admitted)
-        if self.journal is not None:
-            with self._clock.stage("save"):
-                state = {
+    def _save(
+        self,
+        keyframe: Keyframe,
+        frame: DepthFrame,
+        unsaved: tuple[FramePose, ...],
+        verified: Verified,
+    ) -> None:
+        """Pass the record of a new keyframe to the journal."""
+        if self.journal is None:
+            return
+        with self._clock.stage("save"):
+            record = KeyframeRecord(
+                keyframe=keyframe,
+                depth=subsample(frame),
+                frames=unsaved,
+                candidates=tuple(verified.candidates),
+                measured=tuple(verified.measured),
+                admitted=tuple(verified.admitted),
+                state={
                     "tracker": self._tracker.state(),
                     "detector": self._map.state(),
                     "is_around": self._cloud_camera.is_around,
-                }
-                record = KeyframeRecord(
-                    keyframe=keyframe,
-                    depth=subsample(frame),
-                    frames=unsaved,
-                    candidates=candidates,
-                    measured=tuple(verified.measured),
-                    admitted=admitted,
-                    state=state,
-                )
-                self.journal(record)
-        return Step(keyframe, keyframe.scene, admitted, candidates, np.eye(4))
+                },
+            )
+            self.journal(record)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -89,49 +89,56 @@ class MiniSlam:
         restored = list(self._closer.history.frames)
         indices: list[int] = []
         poses: list[Pose] = []
-        for index in range(n_frames):
-            try:
-                with self._clock.stage("read"):
-                    frame = dataset.frame(index)
-            except DatasetError as error:
-                self._observer.on_warning(f"frame {index} skipped: {error}")
-                continue
+        for index, frame in self._read(dataset, n_frames):
             with self._clock.stage("odometry"):
                 T_odom_camera = self._odometry.process(frame)
-            indices.append(index)
-            poses.append(T_odom_camera)
-            if len(poses) <= len(restored):
-                before = restored[len(poses) - 1]
+            if len(poses) < len(restored):
+                before = restored[len(poses)]
                 _check_same(dataset, index, frame, T_odom_camera, before)
                 step = Step(None, None, (), (), np.eye(4), is_lost=before.segment < 0)
             else:
                 step = self._closer.process(frame, T_odom_camera)
+            indices.append(index)
+            poses.append(T_odom_camera)
             self._observer.on_step(index, step)
         if len(poses) < len(restored):
             raise DatasetError(
                 f"{dataset.sequence}: found {len(poses)} frames, expected at least the "
                 f"{len(restored)} frames of the interrupted run"
             )
+        return self._result(indices, poses, n_frames=n_frames, n_resumed=len(restored))
+
+    def _read(self, dataset: Dataset, n_frames: int) -> Iterator[tuple[int, DepthFrame]]:
+        """Yield the first frames of a sequence; skip those that cannot be read."""
+        for index in range(n_frames):
+            try:
+                with self._clock.stage("read"):
+                    frame = dataset.frame(index)
+            except DatasetError as error:
+                self._observer.on_warning(f"frame {index} skipped: {error}")
+            else:
+                yield index, frame
+
+    def _result(
+        self, indices: list[int], poses: list[Pose], *, n_frames: int, n_resumed: int
+    ) -> SlamResult:
+        """Finish the loop closer and return the result of the session."""
         stamps_s = np.array([frame.stamp_s for frame in self._closer.history.frames])
-        odometry = Trajectory(stamps_s, np.array(poses).reshape(-1, 4, 4))
         optimized = self._closer.finish()
-        first = self._closer.map.first_keyframe
-        ids = range(first, len(self._closer.map.keyframes))
-        T_map_camera = (
-            self._closer.map.backend.poses() if self._closer.map.keyframes else np.empty(0)
-        )
-        loops = self._closer.map.loops
+        keyframes, first = self._closer.map, self._closer.map.first_keyframe
+        ids = range(first, len(keyframes))
+        T_map_camera = keyframes.poses() if len(keyframes) else np.empty((0, 4, 4))
         return SlamResult(
-            odometry,
-            optimized,
-            np.array(indices, dtype=np.int64),
-            n_frames - len(indices),
-            len(restored),
-            [replace(k, id=k.id - first) for k in self._closer.map.keyframes[first:]],
-            np.reshape(T_map_camera, (-1, 4, 4))[first:],
-            of_session(loops, ids),
-            of_session(self._closer.map.loops_left_out, ids),
-            sum(loop.match_id < first <= loop.query_id for loop in loops),
+            odometry=Trajectory(stamps_s, np.array(poses).reshape(-1, 4, 4)),
+            optimized=optimized,
+            indices=np.array(indices, dtype=np.int64),
+            n_skipped=n_frames - len(indices),
+            n_resumed=n_resumed,
+            keyframes=[replace(k, id=k.id - first) for k in keyframes.of_session],
+            T_map_camera=T_map_camera[first:],
+            loops=of_session(keyframes.loops, ids),
+            loops_left_out=of_session(keyframes.loops_left_out, ids),
+            n_loops_across=sum(loop.match_id < first <= loop.query_id for loop in keyframes.loops),
         )
 
 

@@ -40,7 +40,7 @@ from .scene import (
     Scene3D as Scene3D,
 )
 from .sensor import (
-    SensorParams as SensorParams,
+    SensorModelParams as SensorModelParams,
     sense as sense,
 )
 from .tour import (

@@ -1,4 +1,4 @@
-"""The flat's tour in a hurry: turns at 120 degrees a second, and a lens covered twice."""
+"""A quick tour of the flat: turns at 120 degrees per second, and a lens that is covered twice."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def make_brisk_tour(flat: Flat, *, seed: int = 0) -> Array:
 
 
 def find_blackouts(flat: Flat, poses: Array) -> NDArray[np.int64]:
-    """Choose when the lens is covered: in the quickest turn in the kitchen, and in the hallway.
+    """Return the frames in which the lens is covered.
 
-    The second time is in the middle of the last stay between rooms.
+    The first time is the quickest turn in the kitchen. The second is the middle of the last stay in
+    the hallway.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ def find_blackouts(flat: Flat, poses: Array) -> NDArray[np.int64]:
     Returns
     -------
     NDArray
-        (M,) growing frame numbers: twice ``BLACKOUT_S``.
+        (M,) increasing frame numbers, which cover ``BLACKOUT_S`` twice.
     """
     kinds = np.array([flat.kind_at(x, y) for x, y in poses[:, :2, 3]])
     turned = se3.rotation_angle(se3.inverse(poses[:-1]) @ poses[1:])
@@ -59,14 +60,14 @@ def find_blackouts(flat: Flat, poses: Array) -> NDArray[np.int64]:
 
 
 def write_brisk_tour(folder: Path, *, seed: int = 0, progress: Progress | None = None) -> Path:
-    """Write ``folder/brisk/seq-01`` in 7-Scenes layout, unless it is there already.
+    """Write ``folder/brisk/seq-01`` in 7-Scenes layout, unless it exists.
 
     Parameters
     ----------
     folder
-        Where to put the scene folder ``brisk``; made if missing.
+        Parent of the scene folder ``brisk``, created if missing.
     seed
-        Of flat, tour and sensor noise; the same seed gives the same bytes.
+        Seed of flat, tour and sensor noise. The same seed gives the same bytes.
     progress
         Called after each frame.
 

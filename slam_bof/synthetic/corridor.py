@@ -38,22 +38,22 @@ class Corridor:
 
 
 def make_corridor(n_rooms: int = 4, *, seed: int = 0) -> Corridor:
-    """Build a corridor off which ``n_rooms`` rooms open that are the same to the millimetre.
+    """Build a corridor with ``n_rooms`` exactly identical rooms.
 
-    The hallway repeats itself as well: archways part it into bays, and only its two ends, where
-    the archway is walled up, tell one bay from another.
+    Archways divide the hallway into identical bays too. Only its two ends, where the archway is
+    walled up, differ.
 
     Parameters
     ----------
     n_rooms
         At least one.
     seed
-        Of the furniture.
+        Seed of the furniture.
 
     Raises
     ------
     ValueError
-        If there is to be no room.
+        If ``n_rooms`` is below one.
     """
     if n_rooms < 1:
         raise ValueError(f"a corridor needs at least 1 room, got {n_rooms}")
@@ -90,7 +90,7 @@ def make_corridor(n_rooms: int = 4, *, seed: int = 0) -> Corridor:
 
 
 def make_corridor_tour(corridor: Corridor, *, seed: int = 0) -> Array:
-    """Visit every room in turn, then all but the last on the way back, in the same manner.
+    """Visit every room in turn, then all but the last in reverse order, in the same manner.
 
     Returns
     -------
@@ -104,16 +104,16 @@ def make_corridor_tour(corridor: Corridor, *, seed: int = 0) -> Array:
 def write_corridor(
     folder: Path, *, n_rooms: int = 4, seed: int = 0, progress: Progress | None = None
 ) -> Path:
-    """Write ``folder/corridor/seq-01`` in 7-Scenes layout, unless it is there already.
+    """Write ``folder/corridor/seq-01`` in 7-Scenes layout, unless it exists.
 
     Parameters
     ----------
     folder
-        Where to put the scene folder ``corridor``; made if missing.
+        Parent of the scene folder ``corridor``, created if missing.
     n_rooms
-        As ``make_corridor`` takes it.
+        Number of rooms; see ``make_corridor``.
     seed
-        Of furniture, tour and sensor noise; the same seed gives the same bytes.
+        Seed of furniture, tour and sensor noise. The same seed gives the same bytes.
     progress
         Called after each frame.
 
@@ -141,7 +141,7 @@ def write_corridor(
 
 
 def _place(number: int, edge: float) -> RoomPlace:
-    """Say where a room is, its door at the hallway's north edge."""
+    """Return the place of a room whose door is at the north edge of the hallway."""
     low = np.array((number * _PITCH_M, edge))
     high = low + np.array((_WIDTH_M, _DEPTH_M))
     return RoomPlace(_ROOM_KIND, low, high, low + np.array((_DOOR_X_M, 0.0)), 1)

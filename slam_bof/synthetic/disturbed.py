@@ -19,11 +19,11 @@ PAUSE_S = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Play:
-    """In which order frames come, when, and where tracking starts anew.
+    """The order and the times of frames, and where tracking restarts.
 
-    ``indices`` (N,) are frames of the sequence and ``stamps_s`` (N,) the growing times at which
-    they come; ``restarts`` are positions among the N at which the odometry knows nothing of what
-    was before, and ``dark`` (N,) tells in which frames the lens is covered.
+    ``indices`` (N,) are frames of the sequence, and ``stamps_s`` (N,) their increasing times.
+    ``restarts`` are the positions among the N frames at which odometry restarts. ``dark`` (N,) is
+    true where the lens is covered.
     """
 
     indices: NDArray[np.int64]
@@ -52,7 +52,7 @@ def without(stamps_s: Array, first: int, last: int) -> Play:
     Raises
     ------
     ValueError
-        If nothing would be left before or after.
+        If no frame would remain before or after.
     """
     n = len(stamps_s)
     if not 0 < first <= last < n - 1:
@@ -62,7 +62,7 @@ def without(stamps_s: Array, first: int, last: int) -> Play:
 
 
 def in_pieces(stamps_s: Array, order: Sequence[int]) -> Play:
-    """Cut into equally long pieces and play them in another order, a second between them.
+    """Cut into pieces of equal length and play them in another order, one second apart.
 
     >>> play = in_pieces(np.arange(6) / 30, (2, 0, 1))
     >>> play.indices.tolist(), play.restarts
@@ -99,7 +99,7 @@ def darkened(play: Play, *, n_times: int = 2, lasting_s: float = 1.0) -> Play:
     [3, 4, 6, 7]
     """
     starts = play.stamps_s[[len(play) * (i + 1) // (n_times + 1) for i in range(n_times)]]
-    # Stamps are sums of thirtieths: the last frame must not slip in by rounding.
+    # Stamps are sums of thirtieths, so the end is compared with a tolerance.
     since = play.stamps_s[:, None] - starts + 1e-6
     return replace(play, dark=play.dark | ((since >= 0.0) & (since < lasting_s)).any(axis=1))
 
@@ -135,6 +135,5 @@ def drifted(
     out = np.empty_like(poses)
     out[0] = np.eye(4)
     for i, step in enumerate(steps):
-        out[i + 1] = out[i] @ step
-        out[i + 1, :3, :3] = se3.nearest_rotation(out[i + 1, :3, :3])
+        out[i + 1] = se3.nearest_pose(out[i] @ step)
     return out

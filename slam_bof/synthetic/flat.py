@@ -1,4 +1,4 @@
-"""A furnished flat: four rooms off a hallway, and a tour through it that comes back."""
+"""A furnished flat with four rooms along a hallway, and a tour that returns to its start."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Flat:
 
 
 def make_flat(seed: int = 0) -> Flat:
-    """Build a flat of four furnished rooms of different kinds off a hallway.
+    """Build a flat of four furnished rooms of different kinds along a hallway.
 
     Parameters
     ----------
@@ -91,16 +91,16 @@ def make_flat(seed: int = 0) -> Flat:
 
 
 def make_tour(flat: Flat, *, seed: int = 0, turn_rate: float = TURN_RATE) -> Array:
-    """Walk through all rooms and back into the first, as with a camera in the hands.
+    """Walk through all rooms and back into the first, with a hand-held camera.
 
     Parameters
     ----------
     flat
         The flat.
     seed
-        Of the tremor.
+        Seed of the tremor.
     turn_rate
-        Greatest yaw rate, rad/s, tremor aside.
+        Largest yaw rate in rad/s, without tremor.
 
     Returns
     -------

@@ -13,7 +13,7 @@ __all__ = ["Furnisher", "distance_to_boxes"]
 
 _TRIES = 40
 _EYE_LEVEL_M = 1.9
-"""Pieces that hang above this height obstruct nobody."""
+"""Pieces above this height obstruct nobody."""
 
 
 def distance_to_boxes(points: Array, boxes: Array) -> Array:
@@ -27,7 +27,7 @@ def distance_to_boxes(points: Array, boxes: Array) -> Array:
 
 
 class Furnisher:
-    """Puts pieces into one room, each where it first fits among random places.
+    """Places furniture in a room, each piece at the first of some random places where it fits.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Furnisher:
     def free_standing(
         self, maker: Maker, *, n: int = 1, chance: float = 1.0, margin: float = 0.5
     ) -> None:
-        """Put up to ``n`` pieces away from the walls, turned any way."""
+        """Put up to ``n`` pieces away from the walls, at random angles."""
         for _ in range(n):
             if self.rng.random() > chance:
                 continue
@@ -113,7 +113,7 @@ class Furnisher:
                     break
 
     def near(self, maker: Maker, x: float, y: float, *, spread: float = 0.3) -> bool:
-        """Put a piece about a point, turned any way; tell whether there was room."""
+        """Place a piece around a point at a random angle; return whether there was space."""
         piece = maker(self.rng)
         low, high = piece.bounds()
         centred = piece.placed(*(-(low + high) / 2)[:2])
@@ -129,7 +129,7 @@ class Furnisher:
         x = self.width * self.rng.uniform(0.4, 0.6)
         y = self.depth * self.rng.uniform(0.4, 0.6)
         piece = maker(self.rng).placed(x, y, height)
-        # A head that passes below would be in the lamp.
+        # A head that passes below must not touch the lamp.
         near = np.hypot(self._clear[:, 0] - x, self._clear[:, 1] - y) < 0.8
         if not near.any():
             self.meshes.append(piece)

@@ -41,14 +41,14 @@ class RoomViews:
         return _render(*self._room)[index][0]
 
     def color(self, index: int) -> None:
-        """Return None: no colour."""
+        """Return None, as there is no colour."""
 
     def gray(self, index: int) -> NDArray[np.uint8]:
-        """Return the shading, (480, 640), as a lamp beside the camera makes it."""
+        """Return the shading, (480, 640), with a lamp beside the camera."""
         return _render(*self._room)[index][1]
 
     def groundtruth(self) -> None:
-        """Return None: the views are no sequence."""
+        """Return None, as the views are not a sequence."""
 
     def scenes(self) -> tuple[str, ...]:
         """Return the kind of the room, for every view."""

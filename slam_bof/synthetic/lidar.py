@@ -1,4 +1,4 @@
-"""Seeing a mesh all around, as a spinning LiDAR does."""
+"""A model of a spinning LiDAR in a mesh."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LidarParams(Params):
 
 
 class Lidar:
-    """Scans a mesh, in the world frame, from poses in it; a scan is taken in no time."""
+    """Scans a mesh in the world frame. A scan takes no time."""
 
     def __init__(self, mesh: Mesh, params: LidarParams | None = None) -> None:
         self.params = p = params or LidarParams()
@@ -56,7 +56,7 @@ class Lidar:
         self._rays_camera = rays.reshape(-1, 3).astype(np.float32)
 
     def scan(self, T_world_camera: Pose, *, seed: int = 0) -> Array:
-        """Return ``points_camera`` (N, 3): x right, y down, z forward, y the axis of its turn."""
+        """Return ``points_camera`` (N, 3): x right, y down, z forward. It turns about y."""
         rays = np.empty((len(self._rays_camera), 6), np.float32)
         rays[:, :3] = T_world_camera[:3, 3]
         rays[:, 3:] = self._rays_camera @ T_world_camera[:3, :3].T.astype(np.float32)

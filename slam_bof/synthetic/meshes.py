@@ -1,4 +1,4 @@
-"""Triangle soups with a colour per triangle: boxes, cylinders, ellipsoids, and moving them."""
+"""Triangle meshes with a colour per triangle: boxes, cylinders and ellipsoids."""
 
 from __future__ import annotations
 

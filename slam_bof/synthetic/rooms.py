@@ -141,7 +141,7 @@ def _classroom(p: Furnisher) -> None:
 
 
 def _filler(rng: np.random.Generator) -> Mesh:
-    """Make one of the things that stand about or hang on walls everywhere."""
+    """Make one of the pieces that occur in rooms of all kinds."""
     makers = (f.picture, f.wall_shelf, f.wall_cabinet, f.sconce, f.boxes, f.plant, f.cabinet)
     chance = (0.15, 0.2, 0.2, 0.1, 0.15, 0.1, 0.1)
     return makers[rng.choice(len(makers), p=chance)](rng)

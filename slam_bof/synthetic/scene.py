@@ -1,4 +1,4 @@
-"""Seeing a mesh with a pinhole camera: depth, colour and incidence by ray casting."""
+"""Views of a mesh through a pinhole camera: depth, colour and incidence by ray casting."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.core import import_open3d
+from slam_bof.geometry import ray_slopes
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.types import Intrinsics, Pose
 
@@ -17,12 +18,12 @@ KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 """The depth camera of 7-Scenes."""
 
 _BRIGHT = 0.35
-"""The albedo from which on a surface returns all the light that a depth camera needs."""
+"""Albedo above which a surface returns enough light for a depth camera."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """What a perfect camera sees.
+    """The view of an ideal camera.
 
     ``depth_m`` (H, W) float32 is z, 0 where a ray leaves the scene; ``cosine`` (H, W) float32
     that of the angle between ray and surface normal; ``returned`` (H, W) float32 the share of
@@ -37,14 +38,14 @@ class View:
 
 
 class Scene3D:
-    """A mesh that can be looked at, from one kind of camera.
+    """A mesh seen by one camera.
 
     Parameters
     ----------
     mesh
-        In the world frame.
+        The mesh in the world frame.
     intrinsics
-        Of the camera.
+        Intrinsics of the camera.
     """
 
     def __init__(self, mesh: Mesh, intrinsics: Intrinsics = KINECT) -> None:
@@ -57,9 +58,7 @@ class Scene3D:
         self._albedo = (255 * mesh.albedo).astype(np.float32)
         self._bright = np.minimum(mesh.albedo.mean(axis=1) / _BRIGHT, 1.0).astype(np.float32)
         self.intrinsics = intrinsics
-        v, u = np.mgrid[: intrinsics.height, : intrinsics.width]
-        x = (u - intrinsics.cx) / intrinsics.fx
-        y = (v - intrinsics.cy) / intrinsics.fy
+        x, y = np.meshgrid(*ray_slopes(intrinsics))
         # With z = 1 in every direction, the distance along the ray is the depth z itself.
         self._rays = np.stack([x, y, np.ones_like(x)], axis=-1).astype(np.float32)
         self._length = np.linalg.norm(self._rays, axis=-1)

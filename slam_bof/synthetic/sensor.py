@@ -1,4 +1,4 @@
-"""What a structured-light depth camera makes of true depth: noise, steps, shadows, gaps.
+"""A model of a structured-light depth camera: noise, quantisation, shadows and gaps.
 
 Noise after Nguyen, Izadi and Lovell, *Modeling Kinect sensor noise for improved 3D
 reconstruction and tracking* (3DIMPVT 2012): the axial standard deviation grows with the
@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from slam_bof.types import INVALID_DEPTH_MM, Params
 
-__all__ = ["SensorParams", "sense"]
+__all__ = ["SensorModelParams", "sense"]
 
 
-class SensorParams(Params):
+class SensorModelParams(Params):
     """Parameters of the depth camera, by default the Kinect of 7-Scenes.
 
     ``focal_px`` times ``baseline_m`` over z is the disparity, measured in steps of
@@ -49,9 +49,9 @@ def sense(
     depth_m: NDArray[np.float32],
     returned: NDArray[np.float32],
     rng: np.random.Generator,
-    params: SensorParams | None = None,
+    params: SensorModelParams | None = None,
 ) -> NDArray[np.uint16]:
-    """Measure true depth as the sensor would.
+    """Return the measurement of true depth by the sensor.
 
     Parameters
     ----------
@@ -60,9 +60,9 @@ def sense(
     returned
         (H, W) share of the light that comes back, as in ``View.returned``.
     rng
-        Makes the noise.
+        Random generator of the noise.
     params
-        The sensor.
+        Parameters of the sensor.
 
     Returns
     -------
@@ -70,7 +70,7 @@ def sense(
         (H, W) millimetres; 0 where shadow, edge, weak return or chance lost the pixel, and 65535
         where the surface is out of range.
     """
-    p = SensorParams() if params is None else params
+    p = SensorModelParams() if params is None else params
     depth = depth_m.astype(np.float32)
     edge = _edges(depth, p.edge_ratio)
     depth = _jitter(depth, edge, rng, p.lateral_px)
@@ -100,7 +100,7 @@ def sense(
 def _patches(
     shape: tuple[int, ...], rng: np.random.Generator, patch_px: int
 ) -> NDArray[np.float32]:
-    """Return uniform chances that neighbours share."""
+    """Return uniform random numbers that neighbouring pixels share."""
     height, width = shape
     coarse = rng.random((height // patch_px + 1, width // patch_px + 1), dtype=np.float32)
     return np.asarray(cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR))
@@ -116,7 +116,7 @@ def _edges(depth: NDArray[np.float32], ratio: float) -> NDArray[np.bool_]:
 def _jitter(
     depth: NDArray[np.float32], edge: NDArray[np.bool_], rng: np.random.Generator, sigma: float
 ) -> NDArray[np.float32]:
-    """Let every pixel at an edge take the depth of a pixel nearby."""
+    """Give every pixel at an edge the depth of a nearby pixel."""
     height, width = depth.shape
     v, u = np.nonzero(edge)
     shift = np.round(rng.normal(0.0, sigma, (2, len(v)))).astype(np.int64)
@@ -126,7 +126,7 @@ def _jitter(
 
 
 def _shadow(depth: NDArray[np.float32], focal_baseline: float) -> NDArray[np.bool_]:
-    """Find what the projector, a baseline to the camera's right, cannot light.
+    """Return the pixels in the shadow of the projector, which is to the right of the camera.
 
     A point in column u lies in the projector's column u - disparity; it is in the shadow of a
     point further right in the camera's image that the projector has at or left of it.
@@ -142,7 +142,7 @@ def _shadow(depth: NDArray[np.float32], focal_baseline: float) -> NDArray[np.boo
 def _grain(
     shape: tuple[int, ...], rng: np.random.Generator, sigma_px: float
 ) -> NDArray[np.float32]:
-    """Make unit noise that neighbours share, as the sensor matches windows, not pixels."""
+    """Return unit noise that neighbours share, because the sensor matches windows of pixels."""
     noise = rng.standard_normal(shape, dtype=np.float32)
     if sigma_px <= 0:
         return noise

@@ -19,12 +19,12 @@ __all__ = ["FRAME_RATE_HZ", "TURN_RATE", "Waypoint", "camera_poses", "spin", "wa
 
 FRAME_RATE_HZ = 30.0
 TURN_RATE = float(np.deg2rad(63.0))
-"""Rate at which a person who films turns, in rad/s."""
+"""Typical yaw rate of a person with a camera, in rad/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Waypoint:
-    """Where the camera passes, metres, and how it looks there, radians (yaw not wrapped)."""
+    """Position of the camera in metres, and its angles in radians (yaw is not wrapped)."""
 
     x: float
     y: float
@@ -71,7 +71,7 @@ def walk(
     smoothing_s: float = 0.3,
     seed: int = 0,
 ) -> Array:
-    """Walk through the way points with a camera in the hands.
+    """Walk through the way points with a hand-held camera.
 
     Each leg takes as long as speed and turn rate allow; the motion is then smoothed, which
     can only slow it down and keeps it within the convex hull of neighbouring way points.
@@ -79,13 +79,13 @@ def walk(
     Parameters
     ----------
     waypoints
-        At least two.
+        The way points, at least two.
     speed_m_s, turn_rate
-        Greatest speed (m/s) and yaw rate (rad/s), tremor aside.
+        Largest speed (m/s) and yaw rate (rad/s), without tremor.
     smoothing_s
         Standard deviation in time of the smoothing.
     seed
-        Of the tremor.
+        Seed of the tremor.
 
     Returns
     -------
@@ -123,13 +123,13 @@ def spin(
     pitch: float = 0.15,
     seed: int = 0,
 ) -> Array:
-    """Turn on the spot, quickly: stand for half a second, turn, stand again.
+    """Turn quickly on the spot, with a pause of half a second before and after.
 
     Returns
     -------
     Array
         ``T_world_camera`` (N, 4, 4) at ``FRAME_RATE_HZ``; the camera moves on a circle of
-        0.25 m about the body, as in outstretched hands.
+        0.25 m around the body.
     """
     turn = np.arange(0.0, abs(angle_deg), rate_deg_s / FRAME_RATE_HZ)
     rest = round(0.5 * FRAME_RATE_HZ)
@@ -149,18 +149,17 @@ def spin(
 
 
 def _shaken(path: Array, rng: np.random.Generator) -> Array:
-    """Add the bob of steps and the tremor of hands to a path (N, 5) x, y, z, yaw, pitch."""
+    """Add the motion of steps and the tremor of hands to a path (N, 5) of x, y, z, yaw, pitch."""
     n = len(path)
     speed = np.linalg.norm(np.gradient(path[:, :2], axis=0), axis=1) * FRAME_RATE_HZ
     phase = 2 * np.pi * 1.7 * np.arange(n) / FRAME_RATE_HZ
     bob = 0.012 * np.minimum(speed / 0.8, 1.0) * np.sin(phase)
-    # Low-pass noise of unit variance: hands follow slowly, nothing jumps.
+    # Low-pass noise of unit variance, without jumps.
     noise = gaussian_filter1d(rng.standard_normal((n, 6)), 6.0, axis=0, mode="wrap")
     noise *= np.sqrt(2.0 * np.sqrt(np.pi) * 6.0)
     position = path[:, :3] + 0.012 * noise[:, :3]
     position[:, 2] += bob
     angles = np.deg2rad((0.6, 0.7, 0.8)) * noise[:, 3:]
     T = camera_poses(position, path[:, 3] + angles[:, 0], path[:, 4] + angles[:, 1], angles[:, 2])
-    # The file holds 9 digits, and readers ask for rotations: give them orthonormal ones.
-    T[:, :3, :3] = np.stack([se3.nearest_rotation(R) for R in T[:, :3, :3]])
-    return T
+    # Files keep 9 digits, and readers expect orthonormal rotations.
+    return se3.nearest_pose(T)

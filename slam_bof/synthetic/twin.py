@@ -1,7 +1,7 @@
 """A synthetic room built around a real camera trajectory: its twin.
 
-The motion is real, hand-held; the room is made up, and stands where the cameras look but
-never where they are.
+The hand-held motion is real, and the room is synthetic. Its furniture stands where the cameras
+look, but never where they are.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def read_poses(files: list[Path], sequence: str) -> tuple[list[int], Array]:
     files
         Lines ``seq-XX/frame-N... qw qx qy qz tx ty tz f``, world-to-camera.
     sequence
-        Such as ``seq-03``.
+        Name of the sequence, such as ``seq-03``.
 
     Returns
     -------
@@ -71,10 +71,10 @@ def read_poses(files: list[Path], sequence: str) -> tuple[list[int], Array]:
 
 
 def gravity_aligned(poses: Array) -> Array:
-    """Turn the world so that z is up and the cameras look along +y on average.
+    """Rotate the world so that z is up and the cameras look along +y on average.
 
-    Who holds a camera keeps its x axis level: up is what the x axes have least of, on the side
-    opposite the mean y axis.
+    The x axis of a hand-held camera is about level. Up is therefore the direction with the smallest
+    components of the x axes, on the side opposite the mean y axis.
 
     Parameters
     ----------
@@ -96,19 +96,19 @@ def gravity_aligned(poses: Array) -> Array:
 
 
 def make_twin_room(poses: Array, *, seed: int = 0) -> Mesh:
-    """Build a furnished room about a trajectory.
+    """Build a furnished room around a trajectory.
 
     Parameters
     ----------
     poses
         ``T_world_camera`` (N, 4, 4), z up.
     seed
-        Of the furniture.
+        Seed of the furniture.
 
     Returns
     -------
     Mesh
-        In the world frame of the poses. Its floor is 1.2 m below the lowest camera, and no
+        The room in the world frame of the poses. Its floor is 1.2 m below the lowest camera, and no
         furniture is within 0.6 m of a camera.
     """
     rng = np.random.default_rng([seed, 23])
@@ -127,7 +127,7 @@ def make_twin_room(poses: Array, *, seed: int = 0) -> Mesh:
         Opening(2, width * 0.7, 1.2, 0.9, 2.2, "window"),
     ]
     eye = position - (*low, floor)
-    # Low things may stand below a camera: it must not look at a bare floor.
+    # Low pieces may stand below a camera, so that it does not see a bare floor.
     below = eye[:, 2] - _CAMERA_CLEARANCE_M
     clear = np.column_stack([eye[:, :2], below, np.full(len(poses), _CAMERA_CLEARANCE_M)])
     placer = Furnisher(width, depth, openings, clear, rng)
@@ -185,32 +185,32 @@ def write_twin(
     n_frames: int | None = None,
     progress: Progress | None = None,
 ) -> tuple[Path, int]:
-    """Write ``folder/name/sequence`` in 7-Scenes layout, unless it is there already.
+    """Write ``folder/name/sequence`` in 7-Scenes layout, unless it exists.
 
     Parameters
     ----------
     folder
-        Where to put the scene folder.
+        Parent of the scene folder.
     files, sequence
-        The poses, as ``read_poses`` takes them.
+        Files of the poses; see ``read_poses``.
     name
-        Of the scene folder.
+        Name of the scene folder.
     seed
-        Of furniture and sensor noise.
+        Seed of furniture and sensor noise.
     n_frames
-        Only so many frames from the start; by default all.
+        Number of frames from the start, by default all.
     progress
         Called after each frame.
 
     Returns
     -------
     sequence_folder, n_missing
-        Where the frames are, and how many numbers between the first and the last have none.
+        Folder of the frames, and the number of missing frames between the first and the last.
 
     Raises
     ------
     DatasetError
-        As ``read_poses`` does, and if the folder exists and holds something else, or the twin of
+        In the cases of ``read_poses``, or if the folder exists with other content or the twin of
         another sequence.
     """
     numbers, given = read_poses(files, sequence)

@@ -1,4 +1,4 @@
-"""Random hand-held views inside random rooms, to train a model on."""
+"""Random hand-held views in random rooms, as training data."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from slam_bof.synthetic.furnisher import distance_to_boxes
 from slam_bof.synthetic.rooms import Room, make_room
 from slam_bof.synthetic.scene import Scene3D, View
-from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.synthetic.tour import FRAME_RATE_HZ, camera_poses
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
@@ -21,7 +21,7 @@ _SMALL_CAMERA = Intrinsics(320, 240, 285.0, 285.0, 159.5, 119.5)
 
 
 def training_views(
-    kind: str, seed: int, n_views: int, *, sensor: SensorParams | None = None
+    kind: str, seed: int, n_views: int, *, sensor: SensorModelParams | None = None
 ) -> Iterator[DepthFrame]:
     """Yield views from random viewpoints in one random room.
 
@@ -30,11 +30,11 @@ def training_views(
     kind
         One of ``ROOM_KINDS``.
     seed
-        Of room, viewpoints and noise.
+        Seed of room, viewpoints and noise.
     n_views
-        How many.
+        Number of views.
     sensor
-        The depth camera.
+        Parameters of the depth camera.
 
     Yields
     ------
@@ -47,11 +47,11 @@ def training_views(
 
 
 def shaded_views(
-    kind: str, seed: int, n_views: int, *, sensor: SensorParams | None = None
+    kind: str, seed: int, n_views: int, *, sensor: SensorModelParams | None = None
 ) -> Iterator[tuple[DepthFrame, NDArray[np.uint8]]]:
     """Yield the same views, each with the shading of its surfaces, (480, 640) grey.
 
-    That is what a camera with a lamp beside it would see if all were of one colour.
+    It is the grey image of a camera with a lamp if all surfaces have one colour.
     """
     for frame, view in _views(kind, seed, n_views, sensor):
         shade = 255.0 * view.cosine * (view.depth_m > 0)
@@ -74,7 +74,7 @@ def messy_views(kind: str, seed: int, n_views: int) -> Iterator[tuple[DepthFrame
 
 
 def _views(
-    kind: str, seed: int, n_views: int, sensor: SensorParams | None
+    kind: str, seed: int, n_views: int, sensor: SensorModelParams | None
 ) -> Iterator[tuple[DepthFrame, View]]:
     room = make_room(kind, seed)
     scene = Scene3D(room.mesh)

@@ -1,4 +1,4 @@
-"""Visiting rooms off a hallway one after the other, looking round in each."""
+"""Paths that visit the rooms along a hallway and look around in each."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["RoomPlace", "clear_columns", "doorway", "visit", "visit_all"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomPlace:
-    """Where a room is: its kind, low and high corner (2,) on the floor.
+    """The place of a room: its kind, and its low and high corner (2,) on the floor.
 
     ``door`` (2,) is the middle of its door on the room's side, ``inward`` +1 where the room
     lies north of the hallway and -1 where it lies south.
@@ -30,21 +30,21 @@ class RoomPlace:
     inward: int
 
     def holds(self, x: float, y: float) -> bool:
-        """Tell whether a point of the floor is in the room."""
+        """Return whether a point of the floor is in the room."""
         return bool((self.low <= (x, y)).all() and ((x, y) <= self.high).all())
 
 
 def doorway(wall: int, x: float) -> Opening:
-    """Make the passage between a hallway and a room, for either's wall."""
+    """Return the opening between a hallway and a room, for the wall of either."""
     return Opening(wall, x, DOOR_WIDTH_M, 0.0, DOOR_HEIGHT_M, "open")
 
 
 def visit(room: RoomPlace, hall_width_m: float) -> list[Waypoint]:
-    """Go in from the hallway, look to one side, then all round the other, and out again."""
+    """Enter from the hallway, look to one side, then around to the other, and leave."""
     x, y = room.door
     n = room.inward
     ahead = n * np.pi / 2
-    # The long sweep goes over the side with more room: it shows more than a wall close by.
+    # The long sweep is towards the larger side, which shows more than a near wall.
     side = 1.0 if room.high[0] - x > x - room.low[0] else -1.0
     turn = n * side
     hall = y - n * (2 * WALL_THICKNESS_M + hall_width_m / 2)
@@ -67,7 +67,7 @@ def visit_all(rooms: Iterable[RoomPlace], hall_width_m: float) -> list[Waypoint]
         if waypoints:
             last = waypoints[-1]
             leg = there[0].x - last.x
-            if abs(leg) > 1.0:  # along the hallway one looks where one goes
+            if abs(leg) > 1.0:  # along the hallway the camera looks ahead
                 ahead = _unwrapped(0.0 if leg > 0 else np.pi, last.yaw)
                 waypoints += [
                     Waypoint(last.x + 0.25 * leg, last.y, ahead, pitch=0.2),

@@ -2,7 +2,7 @@
 
 A room stands on z = 0 with its inner corner at the origin, width along x and depth along y.
 Its walls are numbered 0 south (y = 0), 1 east, 2 north, 3 west. In a wall's own frame x runs
-along the wall, y into the room and z up, as furniture has it.
+along the wall, y into the room and z up, like the frame of a piece of furniture.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WALL_THICKNESS_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """A hole in a wall: ``x`` is its centre along the wall; ``pane`` says what fills it.
+    """An opening in a wall, with its centre at ``x`` along the wall.
 
     ``pane`` is ``open`` (a passage), ``door`` (a closed leaf) or ``window`` (a blind behind
     the recess).
@@ -41,7 +41,7 @@ def wall_length(wall: int, width: float, depth: float) -> float:
 
 
 def on_wall(mesh: Mesh, wall: int, x: float, width: float, depth: float) -> Mesh:
-    """Put what stands in a wall's frame at ``x`` along that wall of the room."""
+    """Move a piece from the frame of a wall to ``x`` along that wall of the room."""
     along = mesh.placed(x, 0.0)
     corner = ((0.0, 0.0), (width, 0.0), (width, depth), (0.0, depth))[wall]
     return along.placed(*corner, yaw=wall * np.pi / 2)
@@ -50,7 +50,7 @@ def on_wall(mesh: Mesh, wall: int, x: float, width: float, depth: float) -> Mesh
 def _frame(opening: Opening, color: Color) -> Mesh:
     a, b = opening.x - opening.width / 2, opening.x + opening.width / 2
     low, top, t = opening.bottom, opening.top, 0.07
-    inside = 0.012  # proud of the wall's own faces, so that no two surfaces coincide
+    inside = 0.012  # in front of the wall, so that no two surfaces coincide
     back = -WALL_THICKNESS_M
     return merge(
         [
@@ -91,7 +91,7 @@ def _pane(opening: Opening, rng: np.random.Generator) -> Mesh:
 def shell(
     width: float, depth: float, height: float, openings: list[Opening], rng: np.random.Generator
 ) -> Mesh:
-    """Build floor, ceiling, walls, skirting, and what fills the openings.
+    """Build floor, ceiling, walls, skirting boards, doors and windows.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Write sequences in exact 7-Scenes layout: depth, colour, poses, splits, and room labels."""
+"""Write sequences in 7-Scenes layout: depth, colour, poses, splits and room labels."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slam_bof.errors import DatasetError
 from slam_bof.synthetic.flat import make_flat, make_tour
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.synthetic.scene import Scene3D, View
-from slam_bof.synthetic.sensor import SensorParams, sense
+from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.types import Array, Pose
 
 __all__ = ["Progress", "write_flat", "write_scene", "write_sequence"]
@@ -28,7 +28,7 @@ Progress = Callable[[int, int], None]
 """Called with the number of frames written and to be written."""
 
 _GENERATION = 1
-"""Counted up whenever the generator gives other bytes, so that old caches are not taken."""
+"""Version of the generator: files of other versions are written again."""
 _RECIPE = "recipe.json"
 _FAST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 
@@ -40,16 +40,16 @@ def write_flat(
     n_frames: int | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write the tour of a synthetic flat as ``folder/flat/seq-01``, unless it is there already.
+    """Write the tour of a synthetic flat as ``folder/flat/seq-01``, unless it exists.
 
     Parameters
     ----------
     folder
-        Where to put the scene folder ``flat``; made if missing.
+        Parent of the scene folder ``flat``, created if missing.
     seed
-        Of flat, tour and sensor noise; the same seed gives the same bytes.
+        Seed of flat, tour and sensor noise. The same seed gives the same bytes.
     n_frames
-        Only so many frames from the tour's start; by default all.
+        Number of frames from the start, by default all.
     progress
         Called after each frame.
 
@@ -78,7 +78,7 @@ def write_flat(
 
 
 def _is_complete(folder: Path, recipe: dict[str, object]) -> bool:
-    """Tell whether a scene folder was written to its end, from this very recipe."""
+    """Return whether a scene folder is complete and was written from this recipe."""
     try:
         return bool(json.loads((folder / _RECIPE).read_text("utf-8")) == recipe)
     except (OSError, ValueError):
@@ -96,21 +96,21 @@ def write_scene(
     labels: Sequence[str] | None = None,
     dark: Collection[int] = (),
     seed: int = 0,
-    sensor: SensorParams | None = None,
+    sensor: SensorModelParams | None = None,
     progress: Progress | None = None,
 ) -> Path:
-    """Write a scene folder of one sequence, all or nothing, unless it is there already.
+    """Write a scene folder of one sequence completely, unless it exists.
 
     Parameters
     ----------
     folder, sequence
-        The scene's, made if missing, and the name of the one in it, such as ``seq-01``.
+        Folder of the scene, and the name of the sequence in it, such as ``seq-01``.
     mesh, poses
-        What is seen, and ``T_world_camera`` (N, 4, 4).
+        The mesh of the scene, and ``T_world_camera`` (N, 4, 4).
     recipe
-        What the bytes depend on; one that was written from this very recipe is left as it is.
+        Everything that the bytes depend on. A folder written from the same recipe is kept.
     frame_numbers, dark, seed, sensor, progress
-        As ``write_sequence`` takes them.
+        See ``write_sequence``.
     labels
         (N,) true scene labels, for a ``scenes.csv``.
 
@@ -122,14 +122,12 @@ def write_scene(
     Raises
     ------
     DatasetError
-        If the folder exists and holds something else than a synthetic scene.
+        If the folder exists and is not a synthetic scene.
     """
     if _is_complete(folder, recipe):
         return folder / sequence
     if folder.exists() and not (folder / _RECIPE).is_file():
-        raise DatasetError(
-            f"{folder}: found files of somebody else's, expected nothing or a synthetic scene"
-        )
+        raise DatasetError(f"{folder}: found other files, expected nothing or a synthetic scene")
     folder.parent.mkdir(parents=True, exist_ok=True)
     building = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
@@ -167,34 +165,34 @@ def write_sequence(
     frame_numbers: Sequence[int] | None = None,
     dark: Collection[int] = (),
     seed: int = 0,
-    sensor: SensorParams | None = None,
+    sensor: SensorModelParams | None = None,
     progress: Progress | None = None,
 ) -> None:
-    """Look at a scene from each pose and write the frames into a folder.
+    """Render a scene from each pose and write the frames into a folder.
 
     Parameters
     ----------
     folder
-        Made if missing; gets ``frame-NNNNNN.{depth.png,color.png,pose.txt}``.
+        Folder, created if missing, of ``frame-NNNNNN.{depth.png,color.png,pose.txt}``.
     scene
-        What is seen.
+        The scene.
     poses
         ``T_world_camera`` (N, 4, 4).
     frame_numbers
-        The numbers in the files' names, by default 0 to N - 1.
+        Numbers in the names of the files, by default 0 to N - 1.
     dark
-        Numbers of frames in which the lens is covered: no depth, no light.
+        Numbers of frames in which the lens is covered.
     seed
-        Of the sensor noise; each frame's noise depends on it and the frame's number alone.
+        Seed of the sensor noise, which depends on it and the number of the frame only.
     sensor
-        The depth camera.
+        Parameters of the depth camera.
     progress
         Called after each frame.
     """
     folder.mkdir(parents=True, exist_ok=True)
     numbers = list(range(len(poses)) if frame_numbers is None else frame_numbers)
     pending: deque[Future[None]] = deque()
-    # Ray casting and PNG coding both release the interpreter: one thread each keeps two busy.
+    # Ray casting and PNG coding both release the interpreter, so one thread each runs in parallel.
     with ThreadPoolExecutor(max_workers=1) as pool:
         for done, (number, pose) in enumerate(zip(numbers, poses, strict=True), start=1):
             view = None if number in dark else scene.view(pose)
@@ -216,7 +214,7 @@ def _write_frame(
     view: View | None,
     T_world_camera: Pose,
     seed: int,
-    sensor: SensorParams | None,
+    sensor: SensorModelParams | None,
 ) -> None:
     shape = scene.intrinsics.height, scene.intrinsics.width
     depth, color = np.zeros(shape, np.uint16), np.zeros((*shape, 3), np.uint8)

@@ -20,8 +20,9 @@ def check_dataset(plugin: Any, path: Path, params: Params | None = None) -> None
     """Check that a data-set plug-in keeps the contracts of ``DatasetFormat`` and ``Dataset``.
 
     The format must recognise a small sequence of yours at ``path``, but not an empty folder, which
-    ``open`` must refuse by a ``DatasetError`` of one line. In the sequence, time stamps must grow,
-    a frame read twice must be the same, and images, ground truth and labels must fit the frames.
+    ``open`` must refuse by a ``DatasetError`` of one line. In the sequence, timestamps must
+    strictly increase, a frame read twice must be the same, and images, ground truth and labels
+    must fit the frames.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ def check_dataset(plugin: Any, path: Path, params: Params | None = None) -> None
     expect(len(dataset) > 0, "there must be frames")
     frames = [_check_frame(dataset, index) for index in range(len(dataset))]
     stamps_s = np.array([frame.stamp_s for frame in frames])
-    expect(bool((np.diff(stamps_s) > 0).all()), "stamps must grow from frame to frame")
+    expect(bool((np.diff(stamps_s) > 0).all()), "timestamps must strictly increase")
     _check_truths(dataset)
 
 

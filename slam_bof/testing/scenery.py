@@ -39,7 +39,7 @@ def expect_rigid(T: object, what: str) -> None:
     expect(
         off < 1e-6 and np.linalg.det(T[:3, :3]) > 0 and (T[3] == [0, 0, 0, 1]).all(),
         f"{what} must be a rotation and a translation (R'R is off by {off:.2g}); "
-        "slam_bof.se3.nearest_rotation helps",
+        "slam_bof.geometry.se3.nearest_pose helps",
     )
 
 

@@ -81,7 +81,7 @@ def test_a_scene_that_repeats_itself_has_several_motions():
     np.testing.assert_allclose(z, [0.0, 1.5], atol=0.06)
 
 
-def test_radii_are_kept_as_far_as_harmonics_tell():
+def test_harmonics_keep_radii_within_their_resolution():
     bofs = place_bofs(scene(1), PARAMS)
     radii = bofs.radii()
     assert radii.shape == (len(bofs.slices), 180)

@@ -120,15 +120,6 @@ def test_the_margin_is_empty(margin_px):
     )
 
 
-def test_drawing_into_an_array_wipes_it_first():
-    params = LayerParams(n_layers=3, resolution_px=9)
-    points = np.random.default_rng(5).normal(size=(50, 3))
-    out = np.full((3, 9, 9), 7, np.uint8)
-    assert layer_images(points, params, out=out) is out
-    np.testing.assert_array_equal(out, layer_images(points, params))
-    assert not layer_images(np.empty((0, 3)), params, out=out).any()
-
-
 def test_flat_clouds_have_a_defined_image():
     size = LayerParams().resolution_px
     line = np.array([[1.0, y, 2.0] for y in (0.0, 0.5, 1.0)])

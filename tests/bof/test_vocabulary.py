@@ -70,7 +70,7 @@ def test_words_that_nobody_needs_are_among_the_descriptors():
 
 
 @pytest.mark.parametrize("shape", [(50, 12), (1, 5)])
-def test_descriptors_all_alike_are_their_words(shape):
+def test_equal_descriptors_become_the_words(shape):
     words = Vocabulary(n_words=min(8, shape[0])).fit(np.full(shape, 0.7)).words_
     np.testing.assert_allclose(words, 0.7, rtol=1e-6)
 

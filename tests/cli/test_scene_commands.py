@@ -35,7 +35,7 @@ def labels(boxes: Path) -> list[str]:
     return [word for label in SIZES_M for word in ("--label", f"{label}={boxes / label}")]
 
 
-def test_train_writes_a_model_and_tells_how_good_it_is(boxes: Path, tmp_path: Path) -> None:
+def test_train_writes_a_model_and_prints_its_accuracy(boxes: Path, tmp_path: Path) -> None:
     out = tmp_path / "new" / "boxes.bof"
     result = slam_bof("train", *labels(boxes), "-o", out, *BAGS, *QUICK, "--json")
     assert result.exit_code == 0, result.output

@@ -39,10 +39,10 @@ def test_the_archive_is_kept_on_demand_and_used_again(server: Server, tmp_path: 
     assert len(server.asked) == 1
 
 
-def test_a_bad_archive_is_set_aside(server: Server, tmp_path: Path) -> None:
+def test_a_damaged_archive_is_renamed(server: Server, tmp_path: Path) -> None:
     for bad in (CHESS[:300], zipped({"fire/x": b"1"}), zipped({"../chess/x": b"1"})):
         server.files["chess.zip"] = bad
-        with pytest.raises(DatasetError, match=r"; set aside as chess\.zip\.bad"):
+        with pytest.raises(DatasetError, match=r"; renamed to chess\.zip\.bad"):
             download("7scenes", "chess", tmp_path, base_url=server.url)
         assert [file.name for file in tmp_path.rglob("*")] == ["7scenes", "chess.zip.bad"]
     server.files["chess.zip"] = CHESS

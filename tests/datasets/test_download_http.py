@@ -67,14 +67,14 @@ def test_what_a_killed_call_left_is_taken_up(server: Server, path: Path) -> None
     assert server.asked == [("/a.bin", "bytes=200000-")]
 
 
-def test_without_ranges_all_comes_anew(server: Server, path: Path) -> None:
+def test_without_ranges_all_is_sent_again(server: Server, path: Path) -> None:
     server.ranges = False
     server.cut_after = [1_000_000]
     check_arrives(server, path)
     assert server.sent == len(CONTENT) + 1_000_000
 
 
-def test_a_server_that_tells_no_version_is_not_resumed(server: Server, path: Path) -> None:
+def test_a_download_without_version_is_not_resumed(server: Server, path: Path) -> None:
     server.version = ""
     server.cut_after = [1_000_000]
     check_arrives(server, path)

@@ -97,7 +97,7 @@ def test_ate_and_rpe_skip_frames_of_unknown_truth() -> None:
     assert evaluation.rpe(estimate, without(truth, [10])) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_rpe_is_the_drift_over_so_many_frames() -> None:
+def test_rpe_is_the_drift_over_a_number_of_frames() -> None:
     truth = wander(100)
     drift = np.tile(np.eye(4), (100, 1, 1))
     drift[:, 0, 3] = 0.002 * np.arange(100)

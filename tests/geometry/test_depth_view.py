@@ -4,7 +4,7 @@ from conftest import CAMERA, box_room_depth_mm
 
 from slam_bof.geometry import make_view, quantize_depth, restore_frame, subsample, view_points
 from slam_bof.geometry.depth_view import surface_normals
-from slam_bof.types import DepthFrame, Intrinsics
+from slam_bof.types import DepthFrame, Intrinsics, SensorParams
 
 
 def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
@@ -69,6 +69,16 @@ def test_normals_are_not_taken_over_edges_and_holes():
     assert not known[:, 0].any()
 
 
+def test_the_sensor_says_what_counts_as_an_edge():
+    slanted = np.broadcast_to(1000 + 20 * np.arange(160), (120, 160)).astype(np.uint16)
+    frame = DepthFrame(0.0, slanted, CAMERA)
+    strict = frame.with_sensor(SensorParams(edge_ratio=0.02))
+    assert make_view(frame).normals_camera[30, 1:-1].any(axis=-1).all()
+    # The neighbours of a pixel differ by 80 mm, which is less than 2 % of 1 m + 3 m.
+    far = make_view(frame).depth_m[30, 1:-1] > 3.001
+    np.testing.assert_array_equal(make_view(strict).normals_camera[30, 1:-1].any(axis=-1), far)
+
+
 def test_one_view_serves_all_who_look_at_a_frame(look):
     frame, other = look(np.eye(4), 0), look(np.eye(4), 1)
     view = make_view(frame)
@@ -108,3 +118,17 @@ def test_depths_in_metres_are_rounded_by_a_sixteenth_of_a_millimetre_at_most():
     rounded = quantize_depth(DepthFrame(0.0, depth, Intrinsics(64, 48, 50, 50, 32, 24)))
     np.testing.assert_allclose(rounded.depth_m()[1:], depth[1:], rtol=0, atol=6.3e-5)
     assert not rounded.depth_m()[0, :3].any()
+
+
+@pytest.mark.parametrize("dtype", [np.uint16, np.float32])
+def test_depths_up_to_the_largest_of_the_sensor_are_kept(dtype):
+    depth = np.full((120, 160), 10_000 if dtype == np.uint16 else 10.0, dtype)
+    depth[:, 80:] *= 2
+    frame = quantize_depth(DepthFrame(0.0, depth, CAMERA, SensorParams(max_depth_m=12.0)))
+    restored = restore_frame(subsample(frame))
+    kept = restored.depth_m()[restored.depth_m() > 0]
+    np.testing.assert_allclose(kept, 10.0, atol=1e-3)
+    np.testing.assert_array_equal(make_view(restored).depth_m, make_view(frame).depth_m)
+    np.testing.assert_array_equal(view_points(restored), view_points(frame))
+    np.testing.assert_array_equal(subsample(restored).depth, subsample(frame).depth)
+    assert not subsample(frame.with_sensor(SensorParams())).depth.any()

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from slam_bof.geometry import GravityTracker, level_frame, make_view
+from slam_bof.geometry import GravityParams, GravityTracker, level_frame, make_view
 
 DOWN = np.array([0.0, 0.0, -1.0])  # in the synthetic world, whose z is up
 
@@ -45,6 +45,16 @@ def test_a_lost_odometry_is_noticed(look, standpoint):
         down = tracker.update(normals, rolled @ T_world_camera)
         if index > 2:
             assert angle_deg(T_world_camera[:3, :3] @ down, DOWN) < 12.0
+
+
+def test_normals_beyond_the_gates_do_not_count(look, standpoint):
+    T = next(iter(poses(standpoint)))
+    normals = make_view(look(T)).known_normals()
+    start = T[:3, :3].T @ Rotation.from_euler("x", 15, degrees=True).apply(DOWN)
+    narrow = GravityParams(first_gates_deg=(1.0,), lost_margin=1.0)
+    assert angle_deg(GravityTracker(start, narrow).update(normals, np.eye(4)), start) < 5.0
+    wide = GravityTracker(start).update(normals, np.eye(4))
+    assert angle_deg(T[:3, :3] @ wide, DOWN) < 4.0
 
 
 def test_a_map_whose_poses_are_right_is_not_left_for_one_view(look, standpoint):

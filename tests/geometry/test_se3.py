@@ -96,6 +96,17 @@ def test_nearest_rotation_of_a_spoiled_rotation() -> None:
     np.testing.assert_allclose(se3.nearest_rotation(R), R, atol=1e-14)
 
 
+def test_nearest_poses_are_those_of_each_alone() -> None:
+    T = se3.exp(tangents(2.0, 5))
+    spoiled = T + 1e-4 * RNG.normal(size=T.shape)
+    nearest = se3.nearest_pose(spoiled)
+    for found, one in zip(nearest, spoiled, strict=True):
+        se3.check_rigid(found)
+        np.testing.assert_array_equal(found, se3.nearest_pose(one))
+        np.testing.assert_array_equal(found[:3, 3], one[:3, 3])
+    np.testing.assert_allclose(nearest, T, atol=1e-3)
+
+
 def test_nearest_rotation_never_mirrors() -> None:
     mirror = np.diag([1.0, 1.0, -1.0])
     assert np.linalg.det(se3.nearest_rotation(mirror)) == pytest.approx(1.0)

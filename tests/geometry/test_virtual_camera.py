@@ -7,7 +7,8 @@ from conftest import CAMERA, box_room_depth_mm
 from slam_bof import evaluation
 from slam_bof.geometry import CloudCamera, back_project, se3
 from slam_bof.geometry.virtual_camera import render
-from slam_bof.slam import LoopCloser
+from slam_bof.slam import LoopCloser, preset
+from slam_bof.slam.config import override
 from slam_bof.synthetic import Lidar, LidarParams, make_flat, make_tour
 from slam_bof.types import DepthFrame, Intrinsics, Trajectory
 
@@ -67,6 +68,13 @@ def test_a_cloud_of_a_depth_camera_is_seen_from_where_it_was_taken():
     assert half_width == pytest.approx(80.0 / 146.25, rel=0.03)
     again, _ = camera.observe(1.0, CLOUD[::7], T_odom_camera)
     assert again.intrinsics == frame.intrinsics
+
+
+def test_the_configuration_sets_the_size_of_the_image():
+    records = []
+    config = override(preset("indoor"), ["virtual_camera.width_px=[80, 100]"])
+    LoopCloser.from_config(config, journal=records.append).process_points(0.0, CLOUD, np.eye(4))
+    assert records[0].depth.intrinsics.width == 100
 
 
 def test_one_from_all_around_is_seen_the_same_way_however_the_sensor_turns():

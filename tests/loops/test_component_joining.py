@@ -80,7 +80,7 @@ def test_views_down_one_hall_are_too_little(walked_down):
     assert admit(easy, loops[:8], walked_down) == [(i, i) for i in range(6)]
 
 
-def test_neither_part_may_stand_where_the_other_looked_through(looked_about):
+def test_no_component_may_violate_the_free_space_of_the_other(looked_about):
     """The loops are of the last views; what the first ones saw is in the way."""
     blocked = Compare(lambda query_id: 0.6 if query_id < N + 6 else 0.02)
     loops = [loop(looked_about, i) for i in (6, 8, 10, 11)]
@@ -102,7 +102,7 @@ def test_neither_part_may_stand_where_the_other_looked_through(looked_about):
     )  # by bags: not asked
 
 
-def test_only_so_many_views_are_compared(looked_about):
+def test_the_number_of_compared_views_is_limited(looked_about):
     few = Compare()
     loops = [loop(looked_about, i) for i in (0, 3, 6, 9)]
     assert (
@@ -118,7 +118,7 @@ def test_only_so_many_views_are_compared(looked_about):
     assert 1 <= len(few.asked) <= 3
 
 
-def test_a_third_part_bears_no_witness(looked_about):
+def test_loops_to_a_third_component_do_not_count(looked_about):
     components = PARTS.copy()
     components[N + 6 :] = 2
     gate = ComponentJoiningGate(
@@ -130,7 +130,7 @@ def test_a_third_part_bears_no_witness(looked_about):
     assert len(admit(gate, [loop(looked_about, 11)], looked_about, components)) == 3
 
 
-def test_loops_back_from_the_older_part_bear_witness_as_well(looked_about):
+def test_loops_from_the_older_component_count_too(looked_about):
     """A place of the younger part seen again once the camera is back in the older one."""
     poses = np.concatenate([looked_about, looked_about[:N]])
     components = np.repeat([0, 1, 0], N)
@@ -149,7 +149,7 @@ def test_loops_back_from_the_older_part_bear_witness_as_well(looked_about):
     ]
 
 
-def test_one_keyframe_is_one_witness_however_many_it_recognises(looked_about):
+def test_all_loops_of_one_keyframe_count_once(looked_about):
     poses = np.concatenate([looked_about, looked_about[:1]])
     components = np.array([0] * N + [1] * N + [0])
     gate = ComponentJoiningGate(ComponentJoiningParams(), Compare())

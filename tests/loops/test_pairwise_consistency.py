@@ -59,7 +59,7 @@ def test_a_loop_waits_for_a_second_one_that_agrees(there_and_again):
     assert pairs(admit(gate, [loop(13, 3)], there_and_again[:14])) == [(13, 3)]
 
 
-def test_loops_of_the_same_keyframe_are_no_witnesses(there_and_again):
+def test_loops_of_the_same_keyframe_do_not_support_each_other(there_and_again):
     gate = ConsistencyGate(ConsistencyParams())
     assert admit(gate, [loop(11, 1), loop(11, 2)], there_and_again[:12]) == []
 
@@ -81,13 +81,13 @@ def test_a_wrong_loop_is_never_admitted_and_harms_no_true_one(there_and_again, w
     assert sorted(pairs(admitted)) == [(10 + i, i) for i in range(1, 6)]
 
 
-def test_old_witnesses_do_not_count(there_and_again):
+def test_loops_outside_the_window_do_not_count(there_and_again):
     gate = ConsistencyGate(ConsistencyParams(window=3))
     admit(gate, [loop(11, 1)], there_and_again[:12])
     assert admit(gate, [loop(15, 5)], there_and_again[:16]) == []
 
 
-def test_more_witnesses_can_be_required_and_none_turns_it_off(there_and_again):
+def test_the_required_number_of_supporters_can_be_set(there_and_again):
     strict = ConsistencyGate(ConsistencyParams(n_required=2))
     assert admit(strict, [loop(11, 1)], there_and_again[:12]) == []
     assert admit(strict, [loop(12, 2)], there_and_again[:13]) == []

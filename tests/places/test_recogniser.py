@@ -67,7 +67,7 @@ def remember(tour, **params):
     return recogniser
 
 
-def test_so_many_are_aligned_at_most(tour):
+def test_the_number_of_aligned_views_is_limited(tour):
     recogniser = remember(tour, n_aligned=4, search={"n_compared": 6})
     for query in range(1, len(recogniser)):
         assert len(recogniser.recognise(query, query)) == min(query, 4)
@@ -103,7 +103,7 @@ def test_an_empty_frame_is_like_nothing(tour):
     assert recogniser.nbytes > 0
 
 
-def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
+def test_deactivated_views_are_not_found(tour):
     frames, poses = tour
     recogniser = PlaceRecogniser()
     T_odom_camera = se3.inverse(poses[0]) @ poses
@@ -121,21 +121,35 @@ def test_what_is_set_aside_is_neither_searched_for_nor_missed(tour):
     assert again not in shortlist.view_ids
     assert set(shortlist.view_ids) <= set(range(N_ROUND))
     assert recogniser.recognise(asking, asking)[0].view_id == 1
-    agreement = recogniser.agreement(again, np.array([1]), np.eye(4)[None])
+    agreement = recogniser.aligner.agreement(again, np.array([1]), np.eye(4)[None])
     assert agreement.inlier_ratio[0] > 0.99
 
 
-def test_a_guest_is_forgotten_and_follows_nothing(tour):
+def test_gravity_is_estimated_by_the_parameters_of_the_recogniser(tour):
+    frames, poses = tour
+    narrow = {"first_gates_deg": (1.0,), "gates_deg": (1.0,), "lost_margin": 1.0}
+    scores = []
+    for params in (RecogniserParams(), RecogniserParams(gravity=narrow)):
+        recogniser = PlaceRecogniser(params, gravity_odom=(0.0, 0.96, 0.28))
+        for frame, pose in zip(frames[:3], poses, strict=False):
+            recogniser.add(frame, se3.inverse(poses[0]) @ pose)
+        scores.append(recogniser.retrieve(2, 2).scores)
+    assert (scores[0] != scores[1]).all()
+
+
+def test_a_temporary_query_leaves_nothing_behind(tour):
     frames, _ = tour
     recogniser = remember(tour, search={"n_compared": 1})
     recogniser.recognise(12, N_ROUND)  # which the next view would follow
     before = recogniser.nbytes
     with recogniser.temporary_query(frames[13]) as view_id:
         assert view_id == len(recogniser) - 1 == len(frames)
-        alone = recogniser.recognise_alone(view_id, N_ROUND)
+        alone = recogniser.recognise(view_id, N_ROUND, follow=False)
         assert [match.view_id for match in alone] == [6]
-        assert 6 not in {m.view_id for m in recogniser.recognise_alone(view_id, 9, exclude=[6])}
-        assert recogniser.coverage(view_id, np.array([13]), np.eye(4)[None]).inlier_ratio > 0.99
+        others = recogniser.recognise(view_id, 9, exclude=[6], follow=False)
+        assert 6 not in {match.view_id for match in others}
+        same = recogniser.aligner.coverage(view_id, np.array([13]), np.eye(4)[None])
+        assert same.inlier_ratio > 0.99
     assert len(recogniser) == len(frames)
     assert recogniser.nbytes == before
     fresh = remember(tour, search={"n_compared": 1})
@@ -145,7 +159,7 @@ def test_a_guest_is_forgotten_and_follows_nothing(tour):
         assert (a.view_id, a.score) == (b.view_id, b.score)
 
 
-def test_a_guest_is_forgotten_whatever_happens(tour):
+def test_a_temporary_query_is_removed_after_an_error(tour):
     frames, _ = tour
     recogniser = remember(tour)
     with pytest.raises(RuntimeError), recogniser.temporary_query(frames[0]):

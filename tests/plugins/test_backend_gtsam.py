@@ -65,7 +65,7 @@ def test_the_first_pose_need_not_be_the_identity():
     np.testing.assert_allclose(backend.poses(), start @ odometry, atol=1e-6)
 
 
-def test_loops_mend_drift_at_once_and_at_the_end(drifted):
+def test_loops_correct_drift_at_once_and_at_the_end(drifted):
     backend, truth, odometry = drifted
     before_m = error_m(odometry, truth)
     closed = slice(-2, None)
@@ -113,7 +113,7 @@ def test_wrong_loops_are_left_out_and_harm_nothing(share):
     np.testing.assert_allclose(outliers.poses(), clean.poses(), atol=1e-3)
 
 
-def test_many_alike_wrong_loops_give_way_to_more_right_ones():
+def test_more_right_loops_outweigh_wrong_ones_that_agree():
     """Ten keyframes along one corridor that look like another: each agrees with the next."""
     truth, odometry = circle()
     truth, odometry = (np.concatenate([T, T[-1] @ T[1:]]) for T in (truth, odometry))
@@ -129,7 +129,7 @@ def test_many_alike_wrong_loops_give_way_to_more_right_ones():
     assert error_m(backend.poses(), truth) < error_m(odometry, truth)
 
 
-def test_a_slip_that_neighbours_mend_is_not_held_against_loops():
+def test_a_local_error_that_neighbours_correct_does_not_reject_loops():
     truth, odometry = circle()
     truth, odometry = (np.concatenate([T, T[-1] @ T[1:]]) for T in (truth, odometry))
     slip = se3.exp(np.array([0.0, 0.3, 0.0, 0.2, 0.0, 0.2]))

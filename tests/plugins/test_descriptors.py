@@ -57,14 +57,14 @@ def stripes(angle, cycles):
 
 @pytest.mark.parametrize("scale", range(4))
 @pytest.mark.parametrize("orientation", range(8))
-def test_gist_tells_scale_and_direction(scale, orientation):
+def test_gist_depends_on_scale_and_direction(scale, orientation):
     gray = stripes(np.pi * orientation / 8, 128 * 0.3 / 1.85**scale)
     gist = registry.build("descriptors", "gist").describe(FRAME, gray).reshape(4, 8, 16)
     strongest = gist.mean(axis=2).argmax()
     assert np.unravel_index(strongest, (4, 8)) == (scale, orientation)
 
 
-def test_gist_tells_where():
+def test_gist_depends_on_position():
     gray = np.full((256, 256), 127, np.uint8)
     gray[64:128, 128:192] = stripes(0.0, 38)[64:128, 128:192]
     gist = registry.build("descriptors", "gist").describe(FRAME, gray).reshape(32, 4, 4)

@@ -73,7 +73,7 @@ def test_of_the_last_keyframe_both_say_the_same(walk):
     np.testing.assert_allclose(live.probabilities, smooth(*walk, PARAMS)[-1].probabilities)
 
 
-def test_a_single_slip_is_mended_and_a_change_is_kept():
+def test_a_single_wrong_label_is_corrected_and_a_change_is_kept():
     p = np.array([0.7, 0.2, 0.1])
     bath, kitchen = p, p[[1, 0, 2]]
     scenes = scenes_of(np.array([bath] * 4 + [kitchen] + [bath] * 4 + [kitchen] * 9))

@@ -39,7 +39,7 @@ def test_nothing_seen_is_labelled_too(scenes):
     assert np.isfinite(scenes.label(empty_frame()).probabilities).all()
 
 
-def test_description_and_arrays_tell_all(scenes):
+def test_a_classifier_is_restored_from_its_description_and_arrays(scenes):
     again = LevelledClassifier.from_arrays(scenes.manifest(), scenes.arrays())
     frame, _ = next(frames(2))
     np.testing.assert_array_equal(

@@ -19,7 +19,7 @@ def walk(labels: list[str | None]) -> tuple[list[Keyframe], np.ndarray]:
     return keyframes, np.array([se3.pose(np.eye(3), [0.3 * k, 0, 0]) for k in range(len(labels))])
 
 
-def test_a_slip_is_mended_and_rooms_are_found():
+def test_a_wrong_label_is_corrected_and_rooms_are_found():
     keyframes, poses = walk(["bath"] * 4 + ["kitchen"] + ["bath"] * 4 + ["kitchen"] * 9)
     scenes, regions = label_map(keyframes, poses)
     assert [scene.label for scene in scenes] == ["bath"] * 9 + ["kitchen"] * 9

@@ -25,7 +25,7 @@ def network():
     return MlpEnsemble(n_hidden=16, n_steps=300, n_networks=1).fit(*views(0))
 
 
-def test_classes_are_told_apart_with_honest_probabilities(network):
+def test_classes_are_separated_with_calibrated_probabilities(network):
     X, truth, _ = views(1, n=3000)
     p = network.predict_proba(X)
     right = network.classes_[p.argmax(axis=1)] == truth

@@ -53,7 +53,7 @@ def test_few_keyframes_go_to_the_region_nearby_and_else_stay():
     assert [len(r.keyframe_ids) for r in alone] == [4, 2]
 
 
-def test_parts_of_the_map_do_not_mix():
+def test_components_of_the_map_do_not_mix():
     rooms = segment_rooms([scene("bath")] * 6, line(*[0.0] * 6), components=[0, 0, 0, 1, 1, 1])
     assert [r.keyframe_ids for r in rooms] == [(0, 1, 2), (3, 4, 5)]
 

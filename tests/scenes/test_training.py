@@ -44,7 +44,7 @@ def frames(first=0, n=40):
         yield TrainingFrame(frame(kind, seed), kind, f"room-{seed // 4}")
 
 
-def test_a_model_tells_unseen_frames_apart():
+def test_a_model_labels_unseen_frames():
     model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes")
     describer = model.describer()
     right = [

@@ -33,7 +33,7 @@ def test_a_text_table_has_its_heading_once(shared, capsys):
     assert len(heading) == len(twin) == len(flat)
 
 
-def test_a_markdown_table_begins_anew_after_a_note(shared, capsys):
+def test_a_new_markdown_table_begins_after_a_note(shared, capsys):
     rows = table(shared, "markdown")
     rows.note("120 frames")
     rows.row(ROW)

@@ -51,6 +51,7 @@ def test_a_plugin_may_be_a_bare_name(tmp_path: Path) -> None:
         ("keyframes: {distance_m: -1}", "key 'keyframes.distance_m': found -1, "),
         ("keyframes: {policy: often}", "key 'keyframes.policy': found 'often', "),
         ("cloud: {min_range_m: 9}", "min_range_m must be below max_range_m"),
+        ("sensor: {max_depth_m: 0.05}", "min_depth_m must be below max_depth_m"),
         ("odometry: {options: {}}", "key 'odometry.name': "),
         ("- a\n- b", "found a list, expected keys and values"),
         ("a: [1", "not a YAML file: "),
@@ -135,7 +136,7 @@ def test_configurations_cannot_be_changed() -> None:
         Config().seed = 3  # type: ignore[misc]
 
 
-def test_parts_given_in_part_keep_the_defaults_of_their_place(tmp_path: Path) -> None:
+def test_sections_given_in_part_keep_their_own_defaults(tmp_path: Path) -> None:
     file = tmp_path / "some.yaml"
     file.write_text(
         "tracking: {alignment: {n_iterations: 5}}\n"

@@ -49,6 +49,22 @@ def test_gravity_follows_the_odometry(gravity_model):
     assert step.keyframe.bag.words.tolist() != otherwise.words.tolist()
 
 
+def test_depths_beyond_the_range_of_the_sensor_are_not_used(look, standpoint):
+    T = np.array(
+        [[0, 0, 1, standpoint[0]], [-1, 0, 0, standpoint[1]], [0, -1, 0, 1.3], [0, 0, 0, 1.0]]
+    )
+    frame = look(T, 0)
+    limit_m = float(np.median(frame.depth_in_range_m()))
+    depths_m = []
+    for max_depth_m in (8.0, limit_m):
+        records = []
+        config = override(preset("indoor"), [f"sensor.max_depth_m={max_depth_m}"])
+        LoopCloser.from_config(config, journal=records.append).process(frame, T)
+        depths_m.append(records[0].depth.depth / records[0].depth.per_m)
+    assert depths_m[0].max() > limit_m
+    np.testing.assert_array_equal(depths_m[1], np.where(depths_m[0] > limit_m, 0.0, depths_m[0]))
+
+
 def three_rounds(look, standpoint, *assignments):
     """Return how often keyframes of each round of three on the spot matched which round before."""
     x, y = standpoint

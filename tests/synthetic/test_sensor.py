@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 
-from slam_bof.synthetic import SensorParams, sense
+from slam_bof.synthetic import SensorModelParams, sense
 from slam_bof.types import INVALID_DEPTH_MM
 
 SHAPE = (240, 320)
 BRIGHT = np.ones(SHAPE, np.float32)
-CLEAN = SensorParams(speckle_loss=0, border_px=0)
+CLEAN = SensorModelParams(speckle_loss=0, border_px=0)
 
 
 def wall(z):

@@ -16,7 +16,7 @@ def cell(image, row, column):
     return image[y, x].tolist()
 
 
-def test_what_is_alike_is_dark_and_the_same_place_is_tinted():
+def test_similar_frames_are_dark_and_same_places_are_tinted():
     same = NOWHERE.copy()
     same[2, 1] = True
     image = draw_loop_matrix(SCORES, same, {}, title="room")
@@ -34,7 +34,7 @@ def test_loops_are_marked_at_query_and_match():
     assert cell(image, 1, 3) == [255, 255, 255]
 
 
-def test_nothing_alike_and_many_frames_can_be_drawn():
+def test_dissimilar_and_many_frames_can_be_drawn():
     n = SIDE_PX + 100
     image = draw_loop_matrix(
         np.zeros((n, n)), np.zeros((n, n), bool), {"none": ("good", [])}, title=""

@@ -1,0 +1,57 @@
+"""Parameters of place recognition."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from slam_bof.bof import ConstellationParams
+from slam_bof.geometry import AlignmentParams, GravityParams
+from slam_bof.places.view_index import ViewIndexParams
+from slam_bof.types import Params
+
+__all__ = ["RecogniserParams"]
+
+
+class RecogniserParams(Params):
+    """Parameters of place recognition: sizes of the shortlists, and ranking of alignments."""
+
+    n_aligned: int = Field(
+        20,
+        ge=0,
+        description="Number of views that are aligned with the query; up to half of them are "
+        "followed.",
+    )
+    n_followed: int = Field(
+        5,
+        ge=0,
+        description="Number of matches of the last view that are followed by odometry.",
+    )
+    n_neighbours: int = Field(
+        2,
+        ge=0,
+        description="Number of views before and after such a match that are aligned too.",
+    )
+    overlap_saturation: float = Field(
+        0.55,
+        ge=0,
+        description="Inlier ratio, less free-space violations, beyond which more hardly counts.",
+    )
+    near_bonus: float = Field(
+        0.1,
+        ge=0,
+        description="Largest bonus in the score for a view from the same viewpoint.",
+    )
+    near_m: float = Field(
+        0.3,
+        gt=0,
+        description="Distance between viewpoints at which that bonus falls off, in m.",
+    )
+    near_deg: float = Field(
+        25.0,
+        gt=0,
+        description="Angle between viewpoints at which that bonus falls off, in degrees.",
+    )
+    constellation: ConstellationParams = ConstellationParams()
+    gravity: GravityParams = GravityParams()
+    search: ViewIndexParams = ViewIndexParams()
+    alignment: AlignmentParams = AlignmentParams()

@@ -1,0 +1,40 @@
+"""An observer of a run that writes the log."""
+
+from __future__ import annotations
+
+import logging
+
+from slam_bof.ports import Observer
+from slam_bof.types import Step
+
+__all__ = ["LoggingObserver"]
+
+logger = logging.getLogger(__name__)
+
+
+class LoggingObserver:
+    """Logs warnings and where odometry is lost and recovered, and informs another observer."""
+
+    def __init__(self, observer: Observer) -> None:
+        self.n_frames = 0
+        self._observer = observer
+        self._is_lost = False
+
+    def on_start(self, n_frames: int) -> None:
+        """Inform the other observer."""
+        self._observer.on_start(n_frames)
+
+    def on_step(self, frame_index: int, step: Step) -> None:
+        """Log where odometry is lost and recovered, and inform the other observer."""
+        self.n_frames += 1
+        if step.is_lost != self._is_lost:
+            self._is_lost = step.is_lost
+            logger.warning(
+                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "recovered"
+            )
+        self._observer.on_step(frame_index, step)
+
+    def on_warning(self, message: str) -> None:
+        """Log the warning and inform the other observer."""
+        logger.warning(message)
+        self._observer.on_warning(message)

@@ -1,0 +1,145 @@
+"""Depth images and their camera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from slam_bof.types.parameters import Params
+
+__all__ = ["INVALID_DEPTH_MM", "DepthFrame", "Intrinsics", "SensorParams", "SubsampledDepth"]
+
+INVALID_DEPTH_MM = 65535
+"""Value of a pixel without depth in 7-Scenes files; 0 has the same meaning."""
+
+Derived = TypeVar("Derived")
+
+
+class SensorParams(Params):
+    """Parameters of the depth sensor. Pixels outside its range count as missing."""
+
+    min_depth_m: float = Field(0.1, ge=0, description="Smallest depth in metres that is used.")
+    max_depth_m: float = Field(
+        8.0, gt=0, le=60, description="Largest depth in metres that is used."
+    )
+    edge_ratio: float = Field(
+        0.1,
+        gt=0,
+        description="Difference in depth between neighbouring pixels, as a share of 1 m plus the "
+        "depth, from which they count as an edge without surface normal.",
+    )
+
+    @model_validator(mode="after")
+    def _check_order(self) -> Self:
+        if self.min_depth_m >= self.max_depth_m:
+            raise ValueError(
+                f"min_depth_m must be below max_depth_m, got {self.min_depth_m} and "
+                f"{self.max_depth_m}"
+            )
+        return self
+
+
+DEFAULT_SENSOR = SensorParams()
+
+
+@dataclass(frozen=True, slots=True)
+class Intrinsics:
+    """A pinhole camera: image size, focal lengths and principal point, all in pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthFrame:
+    """One depth image with its time and camera.
+
+    Parameters
+    ----------
+    stamp_s
+        Time in seconds, on any clock that increases.
+    depth
+        (H, W) depth, either uint16 in millimetres (0 and 65535 mean missing) or float in metres
+        (0, negative and non-finite values mean missing).
+    intrinsics
+        Intrinsics of the depth camera for this image size.
+    sensor
+        Parameters of the sensor, such as the range of depths that are used.
+
+    Raises
+    ------
+    ValueError
+        If the size of the image differs from that of the intrinsics, or its type is neither
+        uint16 nor float.
+    """
+
+    stamp_s: float
+    depth: NDArray[Any]
+    intrinsics: Intrinsics
+    sensor: SensorParams = DEFAULT_SENSOR
+    _derived: dict[Callable[[DepthFrame], Any], Any] = field(
+        default_factory=dict, init=False, repr=False
+    )
+
+    def __post_init__(self) -> None:
+        """Check shape and type once, when the frame is made."""
+        expected = (self.intrinsics.height, self.intrinsics.width)
+        if self.depth.shape != expected:
+            raise ValueError(
+                f"depth must be {expected} like its intrinsics, got {self.depth.shape}"
+            )
+        if self.depth.dtype != np.uint16 and self.depth.dtype.kind != "f":
+            raise ValueError(f"depth must be uint16 mm or float m, got {self.depth.dtype}")
+
+    def derive(self, compute: Callable[[DepthFrame], Derived]) -> Derived:
+        """Return ``compute(frame)``. The result of the first call is cached in the frame.
+
+        Tracking, recognition and verification all need the same ``DepthView`` of a frame.
+        """
+        if compute not in self._derived:
+            self._derived[compute] = compute(self)
+        derived: Derived = self._derived[compute]
+        return derived
+
+    def with_sensor(self, sensor: SensorParams) -> DepthFrame:
+        """Return the frame with the parameters of a sensor."""
+        return self if sensor == self.sensor else replace(self, sensor=sensor)
+
+    def depth_in_range_m(self, stride: int = 1) -> NDArray[np.float32]:
+        """Return the depth as ``depth_m`` does, 0 also outside the range of the sensor."""
+        depth_m = self.depth_m(stride)
+        is_outside = (depth_m < self.sensor.min_depth_m) | (depth_m > self.sensor.max_depth_m)
+        depth_m[is_outside] = 0.0
+        return depth_m
+
+    def depth_m(self, stride: int = 1) -> NDArray[np.float32]:
+        """Return the depth of every ``stride``-th pixel in metres, 0 where it is missing."""
+        depth = np.ascontiguousarray(self.depth[::stride, ::stride])
+        if depth.dtype == np.uint16:
+            metres = depth * np.float32(0.001)
+            metres[depth == INVALID_DEPTH_MM] = 0.0
+            return metres
+        valid = np.isfinite(depth) & (depth > 0)
+        return np.where(valid, depth, 0.0).astype(np.float32)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SubsampledDepth:
+    """The pixels of a depth image that the map keeps, chosen by ``geometry.subsample``.
+
+    ``depth`` is (h, w) uint16 in steps of 1 / ``per_m`` metres, 0 where missing. ``intrinsics``
+    are those of the full image.
+    """
+
+    depth: NDArray[np.uint16]
+    per_m: int
+    intrinsics: Intrinsics

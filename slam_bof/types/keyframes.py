@@ -1,0 +1,74 @@
+"""Keyframes, what is saved with them, and the result of processing a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from slam_bof.types.depth import SubsampledDepth
+from slam_bof.types.features import Bag, Scene
+from slam_bof.types.loops import Candidate, Loop
+from slam_bof.types.poses import FramePose, Pose
+
+__all__ = ["Keyframe", "KeyframeRecord", "Step"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframe:
+    """A frame that the map keeps.
+
+    ``id`` counts keyframes and ``frame_index`` counts frames. ``T_odom_camera`` and ``segment``
+    are defined in ``tracking.Track``. ``scene`` is the label of this keyframe alone; ``smoothed``
+    also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
+    that the keyframe comes from: a map may hold several runs, each with its own frames and
+    odometry.
+    """
+
+    id: int
+    frame_index: int
+    stamp_s: float
+    T_odom_camera: Pose
+    bag: Bag
+    scene: Scene | None
+    segment: int = 0
+    smoothed: Scene | None = None
+    session: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeRecord:
+    """Everything that is saved with a keyframe, enough to resume the run after it.
+
+    ``frames`` are the frames after the keyframe before, up to and including this one.
+    ``measured`` are the loops of this keyframe that geometry verified. ``admitted`` are the loops
+    that entered the graph with it, in that order: some of ``measured`` may be missing, and held
+    loops of earlier keyframes may be among them. ``state`` is the remaining state of the plug-in
+    as JSON values.
+    """
+
+    keyframe: Keyframe
+    depth: SubsampledDepth
+    frames: tuple[FramePose, ...]
+    candidates: tuple[Candidate, ...]
+    measured: tuple[Loop, ...]
+    admitted: tuple[Loop, ...]
+    state: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """The result of processing one frame.
+
+    ``keyframe`` is None if the frame did not become one. ``scene`` is the latest label. ``loops``
+    are the edges that were accepted with this frame, and ``candidates`` are all pairs that were
+    considered for them. ``T_map_odom`` corrects the odometry frame (REP 105):
+    ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
+    wrong and no better one is known.
+    """
+
+    keyframe: Keyframe | None
+    scene: Scene | None
+    loops: tuple[Loop, ...]
+    candidates: tuple[Candidate, ...]
+    T_map_odom: Pose
+    is_lost: bool = False

@@ -1,0 +1,50 @@
+"""Poses of frames, and trajectories."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LOST", "Array", "FramePose", "Pose", "Trajectory"]
+
+Array = NDArray[np.float64]
+Pose = NDArray[np.float64]
+"""A rigid transform as a (4, 4) matrix."""
+
+LOST = -1
+"""Segment number of frames that were taken while odometry was lost."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FramePose:
+    """The poses (4, 4) of a frame from odometry (``T_odom_raw``) and after tracking.
+
+    ``segment`` is the number of the uninterrupted track that the frame belongs to, or ``LOST``
+    while odometry was lost. ``T_view_camera`` is the pose of the sensor in the virtual camera that
+    its point cloud was projected into, and None for a depth image.
+    """
+
+    stamp_s: float
+    T_odom_raw: Pose
+    T_odom_camera: Pose
+    segment: int
+    T_view_camera: Pose | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """Time stamps (N,) in seconds, and the poses ``T_world_camera`` (N, 4, 4) at these times."""
+
+    stamps_s: Array = field(default_factory=lambda: np.empty(0))
+    poses: Array = field(default_factory=lambda: np.empty((0, 4, 4)))
+
+    def __post_init__(self) -> None:
+        """Check that there is one pose per time stamp."""
+        if self.poses.shape != (len(self.stamps_s), 4, 4):
+            raise ValueError(f"poses must be ({len(self.stamps_s)}, 4, 4), got {self.poses.shape}")
+
+    def __len__(self) -> int:
+        """Return the number of poses."""
+        return len(self.stamps_s)
