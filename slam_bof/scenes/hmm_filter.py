@@ -61,7 +61,7 @@ class SceneFilterParams(Params):
         "the end of the run.",
     )
     new_view_weight: float = Field(
-        0.4,
+        0.15,
         ge=0,
         le=1,
         description="Weight of a view that shows something new of a place against the first view "
