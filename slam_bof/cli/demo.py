@@ -28,8 +28,7 @@ def demo(
     with Bar("Making a flat", quiet=quiet) as bar:
         sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
     # The flat is drawn, as are the rooms that this model has learnt from and is right about.
-    drawn = ["model=synthetic", "labels.new_view_weight=1"]
-    config = configs.override(configs.preset("indoor"), [f"seed={seed}", *drawn])
+    config = configs.preset("indoor").model_copy(update={"seed": seed, "model": "synthetic"})
     run_new(sequence, config, out, max_frames=max_frames, quiet=quiet, as_json=as_json)
 
 

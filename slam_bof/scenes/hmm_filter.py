@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from slam_bof.scenes.view_novelty import PATH_M, novelty, power, temper
+from slam_bof.scenes.view_novelty import PATH_M, novelty, pooled
 from slam_bof.types import Array, Params, Scene
 
 __all__ = [
@@ -108,7 +108,7 @@ class SceneFilter:
         self._segment = 0
         self._seen_m: list[Array] = []
         self._axes: list[Array] = []
-        self._n_new, self._n_views = np.zeros(()), np.zeros(())
+        self._sums: Array | None = None
 
     def update(
         self,
@@ -146,23 +146,28 @@ class SceneFilter:
         self._belief = belief / belief.sum()
         probabilities = self._belief
         if axis is not None:
-            self._count(position_m, np.asarray(axis, dtype=np.float64), segment)
-            powers = power(self._n_new, self._n_views, exponent, self._params.new_view_weight)
-            probabilities = temper(self._belief, powers)
+            axis = np.asarray(axis, dtype=np.float64)
+            probabilities = self._pool(scene, int(self._belief.argmax()), position_m, axis, segment)
         self._stamp_s, self._position_m, self._segment = stamp_s, position_m, segment
         return most_probable_scene(probabilities, scene.classes, self._params.min_probability)
 
-    def _count(self, position_m: Array, axis: Array, segment: int) -> None:
-        """Add a view, and what of it is new, to those of the last metres of the path."""
+    def _pool(self, scene: Scene, best: int, position_m: Array, axis: Array, segment: int) -> Array:
+        """Return the probabilities by the last views whose most probable scene was this one."""
         if segment != self._segment:
             self._seen_m, self._axes = [], []
         step_m = float(np.linalg.norm(position_m - self._seen_m[-1])) if self._seen_m else 0.0
         decay = np.exp(-step_m / PATH_M) if np.isfinite(step_m) else 1.0
         seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
-        self._n_new = decay * self._n_new + novelty(position_m, axis, seen_m, axes)
-        self._n_views = decay * self._n_views + 1.0
+        new = novelty(position_m, axis, seen_m, axes)
+        logs = weighted_log_likelihood(scene.probabilities, 1.0)
+        if self._sums is None:
+            self._sums = np.zeros((len(logs), len(logs) + 2))
+        self._sums *= decay
+        self._sums[best] += [*logs, new, 1.0]
         self._seen_m.append(position_m)
         self._axes.append(axis)
+        own = self._sums[best]
+        return pooled(own[:-2], own[-2], own[-1], self._params.new_view_weight)
 
 
 def most_probable_scene(

@@ -21,7 +21,7 @@ from slam_bof.scenes.hmm_filter import (
     predict,
     weighted_log_likelihood,
 )
-from slam_bof.scenes.view_novelty import novelties, path_sums, power, temper
+from slam_bof.scenes.view_novelty import novelties, path_sums, pooled
 from slam_bof.types import Array, Scene
 
 __all__ = ["place_evidence", "smooth"]
@@ -94,14 +94,30 @@ def smooth(
     beliefs = _forward_backward(np.exp(logs), np.maximum(changes, MIN_CHANGE))
     if axes is not None:
         new = novelties(positions_m, np.asarray(axes, dtype=np.float64), where)
-        n_new, n_views = path_sums(np.stack([new, np.ones_like(new)]).T, distances_m).T
-        exponent = params.smoothing_evidence_exponent
-        beliefs = temper(beliefs, power(n_new, n_views, exponent, params.new_view_weight))
+        raw = weighted_log_likelihood(np.array([scene.probabilities for scene in scenes]), 1.0)
+        views = np.column_stack([raw, new, np.ones_like(new)])
+        views = place_evidence(views, seen_m, positions_m, where, params.spread_m)
+        beliefs = _pool(beliefs.argmax(axis=1), views, distances_m, params.new_view_weight)
     pairs = zip(beliefs, scenes, strict=True)
     return [
         most_probable_scene(belief, scene.classes, params.min_probability)
         for belief, scene in pairs
     ]
+
+
+def _pool(best: NDArray[np.intp], views: Array, steps_m: Array, new_view_weight: float) -> Array:
+    """Return probabilities (K, C): each by the views along the path with the same best class.
+
+    ``best`` (K,) is the most probable class. ``views`` (K, C + 2) are sums over the views of each
+    place: logarithms of their probabilities, novelties, and their number. ``steps_m`` (K - 1,) is
+    the length of the path from one to the next.
+    """
+    out = np.empty_like(views[:, :-2])
+    for label in np.unique(best):
+        own = best == label
+        sums = path_sums(views * own[:, None], steps_m)[own]
+        out[own] = pooled(sums[:, :-2], sums[:, -2], sums[:, -1], new_view_weight)
+    return out
 
 
 def place_evidence(

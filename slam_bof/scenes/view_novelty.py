@@ -1,20 +1,20 @@
 """How much of what the camera has seen was new, which tells how sure a smoothed label can be.
 
 Neighbouring keyframes see the same surfaces, and a classifier that is wrong about them is wrong
-each time. The hidden Markov model counts every keyframe, which finds the most probable scene; how
-probable that is depends on how many different views there were. Therefore its probabilities are
-raised to the power at which a hundred views of one wall count as one, and other views of the same
-place, which share its errors too, count a little more.
+each time. The hidden Markov model counts every keyframe, which finds the most probable scene. How
+probable that is follows from the mean of the views near by that it assigns to the same scene: a
+hundred views of one wall count as one, and other views of the same place a little more.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import softmax
 
 from slam_bof.types import Array
 
-__all__ = ["PATH_M", "novelties", "novelty", "path_sums", "power", "temper"]
+__all__ = ["PATH_M", "novelties", "novelty", "path_sums", "pooled"]
 
 OVERLAP_M = 1.0
 """Distance between two cameras, with the same viewing direction, at which the overlap of their
@@ -26,7 +26,6 @@ UNPLACED_NOVELTY = 0.1
 """Novelty of a view whose position is unknown."""
 PATH_M = 4.0
 """Views are counted over about this length of the path, in metres."""
-MIN_PROBABILITY = 1e-12
 
 
 def novelty(position_m: Array, axis: Array, positions_m: Array, axes: Array) -> float:
@@ -93,32 +92,24 @@ def path_sums(values: Array, steps_m: Array) -> Array:
     return np.asarray(before + after - values)
 
 
-def power(n_new: Array, n_views: Array, exponent: float, new_view_weight: float) -> Array:
-    """Return the power (...) that ``temper`` is given.
+def pooled(logs: Array, n_new: Array, n_views: Array, new_view_weight: float) -> Array:
+    """Return the probabilities (..., C) of a scene by several views of it.
 
     Parameters
     ----------
+    logs
+        (..., C) sums of the logarithms of the views' probabilities.
     n_new, n_views
-        (...) sums of novelties, and numbers of views, along the path.
-    exponent
-        The power to which the hidden Markov model has raised each view's probabilities.
+        (...) sum of the views' novelties, and number of views.
     new_view_weight
         Weight of a new view of a place against the first one.
 
     Examples
     --------
-    >>> power(np.array([1.0, 5.0]), np.array([100.0, 10.0]), 0.4, 0.25).round(3).tolist()
-    [0.025, 0.5]
+    >>> logs = 100 * np.log([0.8, 0.2])
+    >>> pooled(logs, np.array(1.0), np.array(100.0), 0.15).round(3).tolist()
+    [0.8, 0.2]
     """
     n_independent = 1.0 + new_view_weight * np.maximum(n_new - 1.0, 0.0)
-    return np.asarray(np.minimum(n_independent / (exponent * n_views), 1.0))
-
-
-def temper(probabilities: Array, powers: Array | float) -> Array:
-    """Return probabilities (..., C) to the power of ``powers`` (...), scaled to sum to 1.
-
-    >>> temper(np.array([0.8, 0.2]), 0.5).round(3).tolist()
-    [0.667, 0.333]
-    """
-    raised = np.maximum(probabilities, MIN_PROBABILITY) ** np.asarray(powers)[..., None]
-    return np.asarray(raised / raised.sum(axis=-1, keepdims=True))
+    weights = n_independent / np.maximum(n_views, 1e-9)
+    return np.asarray(softmax(logs * weights[..., None], axis=-1))
