@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from levelled_scene import empty_frame, table_frame
 
-from slam_bof.scenes import levelled_cloud, remeasure
+from slam_bof.scenes import remeasure
+from slam_bof.scenes.levelled_cloud import levelled_cloud
 
 
 def test_another_sensor_sees_the_same_room():
