@@ -7,6 +7,7 @@ argument to a function raises a plain ``ValueError`` instead.
 __all__ = [
     "ConfigError",
     "DatasetError",
+    "FrameError",
     "MapError",
     "ModelError",
     "PluginError",
@@ -25,6 +26,10 @@ class ConfigError(SlamBofError):
 
 class DatasetError(SlamBofError):
     """A sequence or one of its files is missing or malformed."""
+
+
+class FrameError(SlamBofError, ValueError):
+    """A frame that cannot be processed: by its time, its camera or its pose. The next one may."""
 
 
 class ModelError(SlamBofError):

@@ -36,6 +36,7 @@ __all__ = [
     "NullObserver",
     "Observer",
     "Odometry",
+    "ScaledDataset",
     "Verifier",
 ]
 
@@ -69,6 +70,17 @@ class Dataset(Protocol):
 
     def scenes(self) -> tuple[str, ...] | None:
         """Return the true scene label of every frame, or None if they are unknown."""
+
+
+@runtime_checkable
+class ScaledDataset(Protocol):
+    """A sequence that knows the unit of its depth images: an optional addition to ``Dataset``.
+
+    Single images of the same camera are then read in the same unit.
+    """
+
+    units_per_m: float
+    """Units of a depth image per metre, such as 1000 for millimetres."""
 
 
 @runtime_checkable

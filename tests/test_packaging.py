@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import os
 import re
 import subprocess
+import sys
 import tomllib
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -85,3 +89,54 @@ def test_an_old_python_is_told_of_in_one_line(tmp_path: Path) -> None:
         "error: found Python 3.9.2, expected CPython 3.11 or newer; set PYTHON to name one\n"
     )
     assert not (tmp_path / ".venv").exists()
+
+
+def test_what_windows_lacks_is_not_imported_with_the_package() -> None:
+    """Modules of POSIX alone may be imported within functions that need them."""
+    for package in ("slam_bof", "plugins/slam_bof_plugins"):
+        for file in (ROOT / package).rglob("*.py"):
+            for node in ast.parse(file.read_text(encoding="utf-8")).body:
+                if isinstance(node, ast.Import | ast.ImportFrom):
+                    names = {alias.name for alias in node.names} | {getattr(node, "module", "")}
+                    assert not names & {"fcntl", "resource", "pwd", "grp", "termios"}, file
+
+
+OUTSIDE = """
+import json, sys
+from importlib import metadata
+import slam_bof
+from slam_bof.core import registry
+from slam_bof.scenes import model
+from slam_bof.slam import preset
+assert slam_bof.__file__.startswith(sys.argv[1]), slam_bof.__file__
+assert slam_bof.__version__ == metadata.version("slam-bof")
+print(json.dumps({
+    "model": model.resolve(preset("indoor").model).content_hash,
+    "datasets": registry.names("datasets"),
+    "readme": metadata.metadata("slam-bof").get_payload(),
+}))
+"""
+
+
+def test_the_wheel_is_whole_outside_of_the_repository(tmp_path: Path) -> None:
+    """It is unpacked and used from another folder; its libraries are those of this environment."""
+    pytest.importorskip("hatch_fancy_pypi_readme", reason="needs pip install slam-bof[dev]")
+    build = "from hatchling.build import build_wheel; print(build_wheel(__import__('sys').argv[1]))"
+    done = subprocess.run(
+        [sys.executable, "-c", build, str(tmp_path)],
+        cwd=ROOT, capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    with zipfile.ZipFile(tmp_path / done.stdout.split()[-1]) as wheel:
+        wheel.extractall(tmp_path / "site")
+    site = str(tmp_path / "site")
+    used = subprocess.run(
+        [sys.executable, "-c", OUTSIDE, site],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": site}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert used.returncode == 0, used.stderr
+    found = json.loads(used.stdout)
+    assert found["model"]
+    assert set(found["datasets"]) >= PROJECT["project"]["entry-points"]["slam_bof.datasets"].keys()
+    links = re.findall(r"\]\(([^)]+)\)", found["readme"])
+    assert links
+    assert all(link.startswith("https://") for link in links), "links work on a package index"

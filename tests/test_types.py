@@ -81,3 +81,44 @@ def test_parameters_are_frozen_and_know_their_keys() -> None:
         Knobs().n = 4
     with pytest.raises(ValidationError, match="Extra inputs are not permitted"):
         Knobs.model_validate({"m": 4})
+
+
+@pytest.mark.parametrize(
+    ("numbers", "message"),
+    [
+        ((0.0, 140.0, 79.5, 59.5), "focal length fx of 0 px for an image of 160x120 pixels"),
+        ((140.0, -140.0, 79.5, 59.5), "focal length fy of -140 px"),
+        ((np.nan, 140.0, 79.5, 59.5), "focal length fx of nan px"),
+        ((np.inf, 140.0, 79.5, 59.5), "focal length fx of inf px"),
+        ((0.875, 1.17, 79.5, 59.5), "expected at least 8 px"),  # shares of the image's size
+        ((1050.0, 1050.0, 596.0, 446.0), "principal point at cx = 596 px"),  # another image size
+        ((140.0, 140.0, 79.5, 446.0), "cy = 446 px .* between 6 and 114 px"),
+        ((140.0, 140.0, 0.5, 0.5), "cx = 0.5 px"),
+        ((140.0, 140.0, np.nan, 59.5), "cx = nan px"),
+    ],
+)
+def test_intrinsics_that_cannot_be_of_the_images_are_refused(
+    numbers: tuple[float, ...], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message):
+        Intrinsics(160, 120, *numbers)
+
+
+def test_intrinsics_are_plain_numbers_whatever_they_are_given_as() -> None:
+    K = np.array([140.5, 140.5, 79.5, 59.5], np.float32)
+    camera = Intrinsics(np.int64(160), np.uint16(120), *K)  # type: ignore[arg-type]
+    assert camera == Intrinsics(160, 120, 140.5, 140.5, 79.5, 59.5)
+    kinds = {type(value) for value in dataclasses.astuple(camera)}
+    assert kinds == {int, float}
+    with pytest.raises(TypeError):
+        Intrinsics(160.5, 120, 140.0, 140.0, 79.5, 59.5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="image of 0x120 pixels"):
+        Intrinsics(0, 120, 140.0, 140.0, 79.5, 59.5)
+
+
+def test_a_trajectory_is_shown_in_one_line() -> None:
+    poses = np.tile(np.eye(4), (900, 1, 1))
+    assert repr(Trajectory(np.arange(900) / 2, poses)) == (
+        "Trajectory(900 poses from 0.0 to 449.5 s)"
+    )
+    assert repr(Trajectory()) == "Trajectory(no poses)"

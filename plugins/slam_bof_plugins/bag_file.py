@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 import struct
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +28,10 @@ KINDS = {
     ".db3": ("a ROS 2 database", b"SQLite format 3\0"),
 }
 METADATA = "metadata.yaml"
+UNFINISHED = ".active"
+"""Suffix of a ROS 1 bag that is being recorded, or whose recorder was killed."""
+MAX_PART_GAP_S = 10.0
+"""Largest time between two parts of one recording, or overlap of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,13 +52,13 @@ class BagFile:
         Here and in all methods: if the file is damaged or cut off.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, parts: Sequence[Path] = ()) -> None:
         self.path = path
         self._last: tuple[str, int, Iterator[tuple[Connection, int, bytes]]] | None = None
         with self._naming():
             # Older ROS 2 bags do not contain their message definitions.
             store = get_typestore(Stores.ROS2_HUMBLE)
-            self._reader = AnyReader([path], default_typestore=store)
+            self._reader = AnyReader(list(parts) or [path], default_typestore=store)
             self._reader.open()
         # Data sets are never closed explicitly: the file is closed with the last reference.
         weakref.finalize(self, self._reader.close)
@@ -66,6 +72,11 @@ class BagFile:
         with self._naming():
             for connection, time_ns, raw in self._reader.messages(self._connections(topic)):
                 yield time_ns, self._reader.deserialize(raw, connection.msgtype)
+
+    def spans(self) -> list[tuple[int, int]]:
+        """Return the first and the last time of reception of each file, in ns."""
+        with self._naming():
+            return [(reader.start_time, reader.end_time) for reader in self._reader.readers]
 
     def first(self, topic: str) -> Any:
         """Return the first message of a topic; None if there is none."""
@@ -136,7 +147,7 @@ def bag_kind(path: Path) -> str:
     """Return the kind of bag by its first bytes, such as ``a ROS 1 bag``; empty if it is none."""
     if path.is_dir():
         try:
-            text = (path / METADATA).read_text(encoding="utf-8")
+            text = (path / METADATA).read_text(encoding="utf-8-sig")
         except (OSError, UnicodeDecodeError):
             return ""
         return "a ROS 2 bag" if "rosbag2_bagfile_information" in text else ""
@@ -151,38 +162,78 @@ def bag_kind(path: Path) -> str:
     return ""
 
 
-def find_bag(path: Path) -> Path | None:
-    """Return the bag that a path names, or the only one in the folder; None without one."""
+def find_bag(path: Path) -> tuple[Path, ...]:
+    """Return the bag that a path names, or the only one in the folder; empty without one.
+
+    It has several files if the recorder split it: they differ in their numbers only, and the last
+    numbers count up, as in ``walk_0.mcap``, ``walk_1.mcap``.
+    """
     bags = _bags(path)
-    return bags[0] if len(bags) == 1 else None
+    return tuple(bags) if len(bags) == 1 or _are_parts(bags) else ()
 
 
 def _bags(path: Path) -> list[Path]:
     if not path.is_dir():
-        return [path] if path.suffix in KINDS else []
+        return [path] if path.suffix.lower() in (*KINDS, UNFINISHED) else []
     if (path / METADATA).is_file() and bag_kind(path):
         return [path]
-    return sorted(file for file in path.iterdir() if file.suffix in KINDS and file.is_file())
+    files = [f for f in path.iterdir() if f.suffix.lower() in (*KINDS, UNFINISHED) and f.is_file()]
+    return sorted(files, key=lambda file: (_numbers(file)[-1:], file.name))
+
+
+def _are_parts(files: list[Path]) -> bool:
+    """Return whether the files, in order, are named as the parts of one recording."""
+    names = {re.sub(r"\d+", "#", file.name) for file in files}
+    last = [_numbers(file)[-1] for file in files if _numbers(file)]
+    return bool(files) and len(names) == 1 and last == [*range(last[0], last[0] + len(files))]
+
+
+def _numbers(file: Path) -> list[int]:
+    return [int(number) for number in re.findall(r"\d+", file.stem)]
 
 
 def open_bag(path: Path) -> BagFile:
-    """Open a bag, or the only one in a folder.
+    """Open a bag, or the only one in a folder, which may be in several parts.
 
     Raises
     ------
     DatasetError
-        If the file does not exist, is no bag of the kind that its name says, or is damaged.
+        If the file does not exist, is no bag of the kind that its name says, or is damaged; if
+        parts do not follow one another in time.
     """
-    bag_path = find_bag(path)
-    if bag_path is None:
+    parts = find_bag(path)
+    if not parts:
         found = ", ".join(bag.name for bag in _bags(path)) or "no bag"
         raise DatasetError(
-            f"{path}: found {found}, expected one .bag, .mcap or .db3 file, "
-            "or a folder with metadata.yaml"
+            f"{path}: found {found}, expected one .bag, .mcap or .db3 file, the parts of one "
+            "(NAME_0, NAME_1, ...), or a folder with metadata.yaml"
         )
-    kind = bag_kind(bag_path)
-    expected = "a ROS 2 bag" if bag_path.is_dir() else KINDS[bag_path.suffix][0]
+    for part in parts:
+        _check_kind(part)
+    bag = BagFile(path if len(parts) > 1 else parts[0], parts)
+    for (_, end_ns), (start_ns, _) in itertools.pairwise(sorted(bag.spans())):
+        gap_s = (start_ns - end_ns) * 1e-9
+        if not -MAX_PART_GAP_S <= gap_s <= MAX_PART_GAP_S:
+            raise DatasetError(
+                f"{path}: found {len(parts)} bags that are {abs(gap_s):.0f} s apart or overlap, "
+                f"expected the parts of one recording; give one of them, such as {parts[0]}"
+            )
+    return bag
+
+
+def _check_kind(bag: Path) -> None:
+    kind, suffix = bag_kind(bag), bag.suffix.lower()
+    if suffix == UNFINISHED:
+        raise DatasetError(
+            f"{bag}: found a bag that its recorder did not close, expected a whole one; "
+            f"rename it to {bag.stem} and run: rosbag reindex {bag.stem}"
+        )
+    expected = "a ROS 2 bag" if bag.is_dir() else KINDS[suffix][0]
     if kind != expected:
         found = kind or "something else"
-        raise DatasetError(f"{bag_path}: found {found}, expected {expected}, as its name says")
-    return BagFile(bag_path)
+        raise DatasetError(f"{bag}: found {found}, expected {expected}, as its name says")
+    if suffix != bag.suffix and not bag.is_dir():
+        raise DatasetError(
+            f"{bag}: found a name in capitals, expected small letters; "
+            f"rename it to {bag.with_suffix(suffix).name}"
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from typing import Any
 
@@ -22,10 +23,13 @@ TRANSFORM = "geometry_msgs/msg/TransformStamped"
 TF = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 POSE_TYPES = (ODOMETRY, POSE_STAMPED, POSE_COVARIANCE, TRANSFORM, *TF)
 
-STATIC = "/tf_static"
+STATIC = "tf_static"
 
-Tree = dict[str, tuple[str, Trajectory]]
-"""For each frame, its parent and T_parent_frame over time."""
+Tree = dict[str, dict[str, Trajectory]]
+"""For each frame and each of its parents, T_parent_frame over time.
+
+A frame of a tree has one parent. A recording may hold several, where two publishers disagree.
+"""
 
 
 def recorded_poses(
@@ -40,8 +44,9 @@ def recorded_poses(
     """Return ``T_world_camera`` at each stamp (N,), NaN where unknown.
 
     Of a topic of poses, ``T_world_camera = T_world_child @ T_child_camera``, where the latter
-    comes from ``/tf_static``; a message that names no child is taken as of the camera. Of tf, all
-    transforms between ``world_frame`` and ``camera_frame`` are composed.
+    comes from ``/tf_static``, or the ``tf_static`` of the same namespace; a message that names no
+    child is taken as of the camera. Of tf, all transforms between ``world_frame`` and
+    ``camera_frame`` are composed.
 
     Raises
     ------
@@ -50,11 +55,11 @@ def recorded_poses(
     """
     msgtype = _pose_type(bag, topic)
     if msgtype in TF:
-        tree = _read_tree(bag, [topic, STATIC])
+        tree = _read_tree(bag, [topic, *_static_topics(bag, topic)])
         return _along(bag, tree, camera_frame, world_frame, stamps_s, max_gap_s)
     child, track = _read_poses(bag, topic, msgtype)
     T_world_child = poses_at(track, stamps_s, max_gap_s)
-    return _to_camera(bag, T_world_child, child, camera_frame)
+    return _to_camera(bag, topic, T_world_child, child, camera_frame)
 
 
 def poses_recorded(
@@ -66,13 +71,14 @@ def poses_recorded(
     """
     msgtype = _pose_type(bag, topic)
     if msgtype in TF:
-        tree = _read_tree(bag, [topic, STATIC])
-        tracks = [tree[frame][1] for frame in _way(bag, tree, camera_frame, world_frame)]
+        tree = _read_tree(bag, [topic, *_static_topics(bag, topic)])
+        way = _way(bag, tree, camera_frame, world_frame)
+        tracks = [tree[child][parent] for child, parent in itertools.pairwise(way)]
         moving = [track.stamps_s for track in tracks if not _is_static(track)]
         stamps_s = np.unique(np.concatenate([np.empty(0), *moving]))
         return _along(bag, tree, camera_frame, world_frame, stamps_s, max_gap_s)
     child, track = _read_poses(bag, topic, msgtype)
-    return _to_camera(bag, track, child, camera_frame)
+    return _to_camera(bag, topic, track, child, camera_frame)
 
 
 def find_odometry(bag: BagFile, option: str) -> str:
@@ -85,7 +91,7 @@ def find_odometry(bag: BagFile, option: str) -> str:
     """
     for kinds in ((ODOMETRY,), (POSE_STAMPED, POSE_COVARIANCE, TRANSFORM), TF):
         names = [item.name for item in bag.topics if item.msgtype in kinds and item.n_messages]
-        names = [name for name in names if name != STATIC]
+        names = [name for name in names if not _is_static_topic(name)]
         if len(names) == 1:
             return names[0]
         if names:
@@ -112,12 +118,33 @@ def _pose_type(bag: BagFile, topic: str) -> str:
     return found
 
 
-def _to_camera(bag: BagFile, T_world_child: Trajectory, child: str, camera: str) -> Trajectory:
+def _is_static_topic(topic: str) -> bool:
+    return topic.rpartition("/")[2] == STATIC
+
+
+def _static_topics(bag: BagFile, topic: str) -> list[str]:
+    """Return the topics of static transforms in the innermost namespace of a topic that has one.
+
+    One robot of several has its own: ``/robot1/tf_static`` belongs to ``/robot1/odom``.
+    """
+    known = {item.name for item in bag.topics}
+    namespace = topic
+    while namespace:
+        namespace = namespace.rpartition("/")[0]
+        if f"{namespace}/{STATIC}" in known:
+            return [f"{namespace}/{STATIC}"]
+    return []
+
+
+def _to_camera(
+    bag: BagFile, topic: str, T_world_child: Trajectory, child: str, camera: str
+) -> Trajectory:
     """Transform poses of the moving frame to poses of the camera that is mounted on it."""
     if child in ("", _clean(camera)):
         return T_world_child
     stamps_s = T_world_child.stamps_s
-    T_child_camera = _along(bag, _read_tree(bag, [STATIC]), camera, child, stamps_s, np.inf)
+    tree = _read_tree(bag, _static_topics(bag, topic))
+    T_child_camera = _along(bag, tree, camera, child, stamps_s, np.inf)
     return Trajectory(stamps_s, T_world_child.poses @ T_child_camera.poses)
 
 
@@ -140,24 +167,23 @@ def _read_poses(bag: BagFile, topic: str, msgtype: str) -> tuple[str, Trajectory
 
 
 def _read_tree(bag: BagFile, topics: list[str]) -> Tree:
-    found: dict[str, tuple[str, list[float], list[Pose], bool]] = {}
-    known = {item.name for item in bag.topics}
-    for topic in sorted(known & set(topics)):
+    found: dict[tuple[str, str], tuple[list[float], list[Pose], bool]] = {}
+    for topic in topics:
         for _, message in bag.messages(topic):
             for item in message.transforms:
-                parent, child = _clean(item.header.frame_id), _clean(item.child_frame_id)
-                _, stamps_s, poses, _ = found.setdefault(child, (parent, [], [], topic == STATIC))
+                key = _clean(item.child_frame_id), _clean(item.header.frame_id)
+                stamps_s, poses, _ = found.setdefault(key, ([], [], _is_static_topic(topic)))
                 stamps_s.append(_seconds(item.header.stamp))
                 poses.append(_transform(item.transform))
     tree: Tree = {}
-    for child, (parent, stamps_s, poses, is_static) in found.items():
+    for (child, parent), (stamps_s, poses, is_static) in found.items():
         # What never moves holds at all times.
         track = (
             Trajectory(np.array([-np.inf, np.inf]), np.array([poses[-1], poses[-1]]))
             if is_static
             else _in_order(stamps_s, poses)
         )
-        tree[child] = (parent, track)
+        tree.setdefault(child, {})[parent] = track
     return tree
 
 
@@ -166,24 +192,35 @@ def _along(
 ) -> Trajectory:
     """Compose T_ancestor_frame at each stamp, link by link towards the root."""
     poses = np.tile(np.eye(4), (len(stamps_s), 1, 1))
-    for passed in _way(bag, tree, frame, ancestor):
-        _, track = tree[passed]
+    for child, parent in itertools.pairwise(_way(bag, tree, frame, ancestor)):
+        track = tree[child][parent]
         T = track.poses[0] if _is_static(track) else poses_at(track, stamps_s, max_gap_s).poses
         poses = T @ poses
     return Trajectory(stamps_s, poses)
 
 
 def _way(bag: BagFile, tree: Tree, frame: str, ancestor: str) -> list[str]:
-    """Return the frames from one up to the last below its ancestor."""
-    passed = [_clean(frame)]
-    while passed[-1] != _clean(ancestor):
-        if passed[-1] not in tree or tree[passed[-1]][0] in passed:
-            raise DatasetError(
-                f"{bag.path}: tf: found {' <- '.join(passed)}, expected a way up to "
-                f"{_clean(ancestor)!r}; known frames: {', '.join(sorted(_frames(tree))) or 'none'}"
-            )
-        passed.append(tree[passed[-1]][0])
-    return passed[:-1]
+    """Return the frames from one up to its ancestor.
+
+    Where a frame has several parents, the way is the one that leads to the ancestor.
+    """
+    ways, found = [[_clean(frame)]], []
+    for way in ways:
+        if way[-1] == _clean(ancestor):
+            found.append(way)
+        else:
+            parents = sorted(tree.get(way[-1], {}))
+            ways += [[*way, parent] for parent in parents if parent not in way]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        listed = " and ".join(" <- ".join(way) for way in found)
+        raise DatasetError(f"{bag.path}: tf: found {len(found)} ways {listed}, expected one")
+    reached = " and ".join(" <- ".join(way) for way in ways if way[-1] not in tree)
+    raise DatasetError(
+        f"{bag.path}: tf: found {reached or _clean(frame)}, expected a way up to "
+        f"{_clean(ancestor)!r}; known frames: {', '.join(sorted(_frames(tree))) or 'none'}"
+    )
 
 
 def _is_static(track: Trajectory) -> bool:
@@ -191,7 +228,7 @@ def _is_static(track: Trajectory) -> bool:
 
 
 def _frames(tree: Tree) -> Iterator[str]:
-    yield from {frame for child, (parent, _) in tree.items() for frame in (child, parent)}
+    yield from {frame for child, parents in tree.items() for frame in (child, *parents)}
 
 
 def _in_order(stamps_s: list[float], poses: list[Pose]) -> Trajectory:

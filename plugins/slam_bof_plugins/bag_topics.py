@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from slam_bof.errors import DatasetError
 from slam_bof_plugins.bag_file import BagFile, Topic
 from slam_bof_plugins.bag_images import COMPRESSED, IMAGE, encoding
 
-__all__ = ["OPTION", "find_depth_topic"]
+__all__ = ["OPTION", "find_depth_topic", "stated_units"]
 
 OPTION = "--set dataset.options"
 
@@ -43,6 +45,23 @@ def find_depth_topic(bag: BagFile, wanted: str | None = None) -> Topic:
         f"{bag.path}: found no depth images (of images: {listed or 'none'}), "
         "expected a topic of 16UC1 or 32FC1, raw or compressedDepth"
     )
+
+
+def stated_units(bag: BagFile, topic: Topic) -> float | None:
+    """Return the units of depth per metre that a RealSense bag states for its sensor, if any.
+
+    ``/device_0/sensor_0/option/Depth Units/value`` holds the metres per unit as a float32.
+    """
+    sensor = topic.name.split("/Depth_")[0]
+    for spelling in ("Depth Units", "Depth_Units"):
+        name = f"{sensor}/option/{spelling}/value"
+        if name in {item.name for item in bag.topics}:
+            unit_m = float(bag.first(name).data)
+            if not 0.0 < unit_m < math.inf:
+                raise DatasetError(f"{bag.path}: {name}: found {unit_m}, expected metres per unit")
+            units = 1.0 / unit_m
+            return float(round(units)) if abs(units - round(units)) < 1e-4 * units else units
+    return None
 
 
 def _encoding(bag: BagFile, topic: Topic) -> str:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import logging
-import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
-from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
+from slam_bof.geometry import se3, warn_unknown
+from slam_bof.types import Array, DepthFrame, Intrinsics, Pose, Trajectory
 from slam_bof_plugins.dataset_files import register
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 
@@ -45,6 +44,7 @@ class SevenScenes:
     """One sequence in 7-Scenes layout."""
 
     name: ClassVar[str] = "7scenes"
+    units_per_m: ClassVar[float] = 1000.0
 
     def __init__(self, folder: Path, numbers: Sequence[int], intrinsics: Intrinsics) -> None:
         self.folder = folder
@@ -73,7 +73,7 @@ class SevenScenes:
         ------
         DatasetError
             If there is no such folder or sequence, or several; if a depth image is of 8 bits,
-            in colour, or of another size than the first; if a pose is no pose.
+            in colour, or of another size than the first.
         """
         folder = _sequence_folder(path)
         numbers = _frame_numbers(folder)
@@ -128,11 +128,17 @@ class SevenScenes:
 
     def _read_groundtruth(self) -> Trajectory | None:
         files = [self._file(i, ".pose.txt") for i in range(len(self))]
-        present = [i for i, file in enumerate(files) if file.is_file()]
-        if not present:
-            return None
         poses = np.full((len(self), 4, 4), np.nan)
-        poses[present] = _read_poses([files[i] for i in present])
+        problems = []
+        for index, file in enumerate(files):
+            try:
+                if file.is_file():
+                    poses[index] = _read_pose(file)
+            except (OSError, ValueError) as error:
+                problems.append(f"{file.name}: {error}")
+        warn_unknown(self.folder, problems, len(self))
+        if not np.isfinite(poses).any():
+            return None
         return Trajectory(np.array(self._numbers) / FRAMES_PER_S, poses)
 
     def _read_scenes(self) -> tuple[str, ...] | None:
@@ -140,7 +146,7 @@ class SevenScenes:
         if not file.is_file():
             return None
         try:
-            with file.open(newline="", encoding="utf-8") as lines:
+            with file.open(newline="", encoding="utf-8-sig") as lines:
                 labels = {int(row["frame"]): row["scene"] for row in csv.DictReader(lines)}
             return tuple(labels[number] for number in self._numbers)
         except (KeyError, TypeError, ValueError) as error:
@@ -195,31 +201,26 @@ def _camera(focal_px: float, width: int, height: int) -> Intrinsics:
     return Intrinsics(width, height, focal_px, focal_px, width / 2, height / 2)
 
 
-def _read_poses(files: Sequence[Path]) -> Array:
-    """Read T_world_camera, (N, 4, 4); rotations, given to a few digits, are made orthonormal."""
-    T = np.array([_read_numbers(file) for file in files]).reshape(-1, 4, 4)
-    R = T[:, :3, :3]
-    off = np.abs(R @ np.swapaxes(R, 1, 2) - np.eye(3)).max(axis=(1, 2))
-    rigid = (off <= ROTATION_TOLERANCE) & (np.linalg.det(R) > 0)
-    rigid &= (T[:, 3] == (0, 0, 0, 1)).all(axis=1)
-    for i in np.flatnonzero(~rigid).tolist():
-        raise DatasetError(
-            f"{files[i]}: found no rigid transform (R R^T is off by {off[i]:.3g}, "
-            f"det R = {np.linalg.det(R[i]):.3g}, last row {T[i, 3].tolist()}), expected a pose"
+def _read_pose(file: Path) -> Pose:
+    """Read T_world_camera; its rotation, given to a few digits, is made orthonormal.
+
+    ``ValueError`` if the file does not hold a pose: recorders write NaN, zeros or nothing, or
+    ``-1.#INF``, where they lost track.
+    """
+    values = [float(word) for word in file.read_text(encoding="utf-8-sig").split()]
+    if len(values) != 16:
+        raise ValueError(f"found {len(values)} numbers, expected 16: a pose")
+    T = np.array(values).reshape(4, 4)
+    if not np.isfinite(T).all():
+        raise ValueError("found NaN or infinity, expected a pose")
+    R = T[:3, :3]
+    off, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
+    if off > ROTATION_TOLERANCE or determinant < 0 or T[3].tolist() != [0, 0, 0, 1]:
+        raise ValueError(
+            f"found no rigid transform (R R^T is off by {off:.3g}, det R = {determinant:.3g}, "
+            f"last row {T[3].tolist()}), expected a pose"
         )
     return se3.nearest_pose(T)
-
-
-def _read_numbers(file: Path) -> list[float]:
-    try:
-        values = [float(word) for word in file.read_text(encoding="utf-8").split()]
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{file}: {error}, expected 16 numbers: a pose") from error
-    if len(values) != 16:
-        raise DatasetError(f"{file}: found {len(values)} numbers, expected 16: a pose")
-    if not all(map(math.isfinite, values)):
-        raise DatasetError(f"{file}: found NaN or infinity, expected a pose")
-    return values
 
 
 def _register(rgb: NDArray[np.uint8], frame: DepthFrame) -> NDArray[np.uint8]:

@@ -1,10 +1,12 @@
 """ROS bags: depth images of one topic with their CameraInfo, and poses if wished.
 
 ROS 1 ``.bag`` files, ROS 2 folders with ``metadata.yaml`` (SQLite or MCAP), and single ``.mcap``
-and ``.db3`` files. Depth is 16UC1 in mm or 32FC1 in m, raw or compressed (see ``bag_images``).
-The depth topic is found by its coding, if there is only one; the camera is the ``camera_info``
-beside it, or else the only one of the same frame. Times are of the messages' headers, or, where
-those do not grow, of their reception. Needs ``pip install slam-bof[bag]``.
+and ``.db3`` files. Depth is 16UC1 in mm or 32FC1 in m, raw or compressed (see ``bag_images``),
+unless a RealSense bag or the option ``depth_scale`` states another unit. The depth topic is found
+by its coding, if there is only one; the camera is the ``camera_info`` beside it, or else the only
+one of the same frame. Times and order are those of the messages'
+headers, without images whose stamp is broken or repeats another; where many stamps are broken,
+those of their reception. Needs ``pip install slam-bof[bag]``.
 """
 
 from __future__ import annotations
@@ -18,12 +20,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.bag_file import BagFile, Topic, bag_kind, find_bag, open_bag
 from slam_bof_plugins.bag_images import decode_depth
 from slam_bof_plugins.bag_poses import recorded_poses
-from slam_bof_plugins.bag_topics import OPTION, find_depth_topic
-from slam_bof_plugins.dataset_files import check_stamps, sequence_name
+from slam_bof_plugins.bag_times import order_by_stamp
+from slam_bof_plugins.bag_topics import OPTION, find_depth_topic, stated_units
+from slam_bof_plugins.dataset_files import scale_depth, sequence_name
 
 __all__ = ["BagParams", "RosBag"]
 
@@ -45,6 +49,13 @@ class BagParams(Params):
     )
     intrinsics: tuple[float, float, float, float] | None = Field(
         None, description="Intrinsics fx, fy, cx, cy in pixels, used instead of a camera_info."
+    )
+    depth_scale: float | None = Field(
+        None,
+        gt=0,
+        allow_inf_nan=False,
+        description="Units of depth per metre; by default those that a RealSense bag states, or "
+        "else 1000 for integers and 1 for floats.",
     )
     groundtruth: str | None = Field(
         None,
@@ -73,7 +84,8 @@ class RosBag:
         self._bag = bag
         self._topic = topic
         self._received, stamped = bag.times(topic.name)
-        self._stamps_s = _times(bag, topic, self._received, stamped)
+        self._units_per_m = params.depth_scale or stated_units(bag, topic)
+        self._order, self._stamps_s = _times(bag, topic, self._received, stamped)
         first = bag.first(topic.name)
         shape = decode_depth(first, topic.msgtype, self._where(0)).shape
         self.intrinsics = _camera(bag, topic, first, shape, params)
@@ -96,9 +108,10 @@ class RosBag:
     @classmethod
     def recognises(cls, path: Path) -> str:
         """Return the kind of bag; empty if it is none."""
-        bag = find_bag(path)
-        kind = bag_kind(bag) if bag else ""
-        return f"{bag.name}: {kind}" if bag and kind else ""
+        bags = find_bag(path)
+        kind = bag_kind(bags[0]) if bags else ""
+        more = f" in {len(bags)} parts" if len(bags) > 1 else ""
+        return f"{bags[0].name}: {kind}{more}" if kind else ""
 
     @classmethod
     def open(cls, path: Path, params: BagParams | None = None) -> Self:
@@ -119,16 +132,20 @@ class RosBag:
         return len(self._stamps_s)
 
     def frame(self, index: int) -> DepthFrame:
-        """Read a frame: uint16 mm of 16UC1, float32 m of 32FC1."""
+        """Read a frame: uint16 mm of 16UC1, float32 m of 32FC1 and of other units."""
         index = range(len(self))[index]
-        message = self._bag.message(self._topic.name, index, self._received)
-        depth = decode_depth(message, self._topic.msgtype, self._where(index))
+        number = int(self._order[index])
+        message = self._bag.message(self._topic.name, number, self._received)
+        depth = decode_depth(message, self._topic.msgtype, self._where(number))
         expected = (self.intrinsics.height, self.intrinsics.width)
         if depth.shape != expected:
             raise DatasetError(
-                f"{self._where(index)}: found {depth.shape[1]}x{depth.shape[0]} pixels, "
+                f"{self._where(number)}: found {depth.shape[1]}x{depth.shape[0]} pixels, "
                 f"expected {expected[1]}x{expected[0]}"
             )
+        if self._units_per_m is not None:
+            is_integer = depth.dtype == np.uint16
+            depth = (scale_depth if is_integer else np.divide)(depth, self._units_per_m)
         return DepthFrame(float(self._stamps_s[index]), depth, self.intrinsics)
 
     def color(self, index: int) -> None:
@@ -150,13 +167,30 @@ class RosBag:
 
 def _times(
     bag: BagFile, topic: Topic, received: NDArray[np.int64], stamped: NDArray[np.int64]
-) -> Array:
-    if (np.diff(stamped) > 0).all():
-        return np.asarray(stamped * 1e-9, np.float64)
-    logger.warning("%s: %s: stamps do not grow; taking times of reception", bag.path, topic.name)
-    stamps_s: Array = np.asarray(received * 1e-9, np.float64)
-    check_stamps(stamps_s, bag.path)
-    return stamps_s
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the order of the images (N,) and their times (N,) in seconds."""
+    where = f"{bag.path}: {topic.name}"
+    times, order = stamped, order_by_stamp(stamped, received)
+    if order is None:
+        logger.warning("%s: stamps do not grow; taking times of reception", where)
+        times, order = received, order_by_stamp(received, received)
+    if order is None:
+        raise DatasetError(
+            f"{where}: found the same time for many of {len(received)} images, "
+            "expected times that grow"
+        )
+    if len(order) < len(stamped):
+        missing = np.setdiff1d(np.arange(len(stamped)), order)
+        logger.warning(
+            "%s: %d of %d images have a broken or repeated time and are left out, the first: "
+            "image %d at %.3f s",
+            where,
+            len(missing),
+            len(stamped),
+            missing[0],
+            times[missing[0]] * 1e-9,
+        )
+    return order, np.asarray(times[order] * 1e-9, np.float64)
 
 
 def _camera(
@@ -164,7 +198,7 @@ def _camera(
 ) -> Intrinsics:
     height, width = shape
     if params.intrinsics is not None:
-        return Intrinsics(width, height, *params.intrinsics)
+        return checked_intrinsics("dataset.options.intrinsics", width, height, *params.intrinsics)
     name = params.camera_info or _beside(bag, topic, str(first.header.frame_id))
     known = {item.name for item in bag.topics if item.msgtype == CAMERA_INFO}
     info = bag.first(name) if name in known else None
@@ -172,11 +206,6 @@ def _camera(
         raise DatasetError(
             f"{bag.path}: found no camera_info {name}, expected one of: "
             f"{', '.join(sorted(known)) or 'none here'}"
-        )
-    if (info.width, info.height) != (width, height):
-        raise DatasetError(
-            f"{bag.path}: {name}: found a camera of {info.width}x{info.height} pixels, "
-            f"expected {width}x{height} as {topic.name}"
         )
     # ROS 1 has the matrices in capitals.
     K = np.asarray(info.k if hasattr(info, "k") else info.K).reshape(3, 3)
@@ -186,11 +215,39 @@ def _camera(
         K = P[:, :3]
     elif D.any():
         logger.warning("%s: %s: lens distortion is not undone", bag.path, name)
-    if not (K[0, 0] > 0.0 and K[1, 1] > 0.0):
+    numbers = _apply_binning(info, K, width, height)
+    if numbers is None:
+        given = [float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        share = width / info.width if info.width else 1.0
+        fx, fy, cx, cy = given[0] * share, given[1] * share, *(_scale(c, share) for c in given[2:])
         raise DatasetError(
-            f"{bag.path}: {name}: found no focal length, expected a calibrated camera"
+            f"{bag.path}: {name}: found a camera of {info.width}x{info.height} pixels, "
+            f"expected {width}x{height} as {topic.name}; if the images were made smaller, give "
+            f"{OPTION}.intrinsics=[{fx:.6g},{fy:.6g},{cx:.6g},{cy:.6g}]"
         )
-    return Intrinsics(width, height, *(float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))))
+    return checked_intrinsics(f"{bag.path}: {name}", width, height, *numbers)
+
+
+def _apply_binning(info: Any, K: Array, width: int, height: int) -> tuple[float, ...] | None:
+    """Return fx, fy, cx, cy of the images, by the region of interest and then the binning.
+
+    Both refer to the full image that CameraInfo describes. None if the images are then of another
+    size.
+    """
+    fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    if (info.width, info.height) == (width, height):
+        return fx, fy, cx, cy
+    roi, bins = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
+    full = (roi.width or info.width, roi.height or info.height)
+    if (full[0] // bins[0], full[1] // bins[1]) != (width, height):
+        return None
+    cx, cy = _scale(cx - roi.x_offset, 1 / bins[0]), _scale(cy - roi.y_offset, 1 / bins[1])
+    return fx / bins[0], fy / bins[1], cx, cy
+
+
+def _scale(center: float, share: float) -> float:
+    """Return a coordinate, which counts from the centre of the first pixel, in a smaller image."""
+    return (center + 0.5) * share - 0.5
 
 
 def _beside(bag: BagFile, topic: Topic, frame: str) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import nearest_stamps, ray_slopes, se3
+from slam_bof.geometry import nearest_stamps, ray_slopes, read_tum, se3
 from slam_bof.types import INVALID_DEPTH_MM, Array, Intrinsics, Trajectory
 from slam_bof_plugins.depth_png import check_header, read_depth_png
 
@@ -22,6 +22,7 @@ __all__ = [
     "nearest",
     "poses_at",
     "read_gray",
+    "read_groundtruth",
     "read_lines",
     "read_rgb",
     "register",
@@ -114,8 +115,12 @@ def register(
     return np.asarray(found, dtype=np.uint8)
 
 
-def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
-    """Yield where each line of a text file stands, and its words; not of empty and # lines.
+def read_lines(
+    path: Path, expected: str, *, keep_empty: bool = False
+) -> Iterator[tuple[str, list[str]]]:
+    """Yield where each line of a text file stands, and its words; not of # lines.
+
+    Empty lines are left out as well, unless lines are counted: ``keep_empty``.
 
     Raises
     ------
@@ -123,7 +128,7 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
         If the file cannot be read or is no text; the message ends with ``expected``.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise DatasetError(f"{path}: found no such file, expected {expected}") from None
     except UnicodeDecodeError:
@@ -134,7 +139,7 @@ def read_lines(path: Path, expected: str) -> Iterator[tuple[str, list[str]]]:
         )
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
-        if words and not words[0].startswith("#"):
+        if (words or keep_empty) and not line.lstrip().startswith("#"):
             yield f"{path}, line {number}", words
 
 
@@ -187,6 +192,31 @@ def poses_at(trajectory: Trajectory, stamps_s: Array, max_gap_s: float) -> Traje
         fraction = (stamps_s[known] - times[b]) / span
         poses[known] = se3.interpolate(trajectory.poses[b], trajectory.poses[a], fraction[:, None])
     return Trajectory(stamps_s, poses)
+
+
+def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajectory | None:
+    """Return the true pose of each frame by a file in TUM format, with a warning for unknown ones.
+
+    None if there is no such file, or it fits no frame.
+    """
+    if not path.is_file():
+        return None
+    recorded = read_tum(path)
+    found = poses_at(recorded, stamps_s, max_gap_s)
+    n_unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
+    if n_unknown:
+        times = (
+            f" (poses from {recorded.stamps_s[0]:.3f} to {recorded.stamps_s[-1]:.3f} s, frames "
+            f"from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s)"
+        )
+        logger.warning(
+            "%s: no pose near %d of %d frames%s",
+            path,
+            n_unknown,
+            len(stamps_s),
+            times if n_unknown == len(stamps_s) and len(recorded) else "",
+        )
+    return found if n_unknown < len(stamps_s) else None
 
 
 def _read_image(path: Path | None, flags: int) -> NDArray[np.uint8] | None:

@@ -7,8 +7,9 @@ by default 1000 for integers and 1 for floats) and ``fps`` (30 by default). Dept
 is not finite are missing.
 
 Times come from ``timestamps.txt`` (a line for each image: seconds, or its name and seconds), or
-else from the names: seconds where they have a decimal point (``1628069033.660061.png``),
-nanoseconds where they have 19 digits, and else the number that they end with, at ``fps``. Colour
+else from the names as recorders write them (see ``name_times``): a date, seconds with a decimal
+point (``1628069033.660061.png``), milliseconds of RealSense tools; otherwise it is the number of
+the image at ``fps``. Times since 1970 may be in s, ms, us or ns. Colour
 (``color/NAME.{png,jpg}`` or ``NAME.color.{png,jpg}``) is taken as registered to depth; poses
 (``groundtruth.txt`` or ``poses.txt``, TUM format, T_world_camera) are matched as in ``tum``.
 """
@@ -17,7 +18,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Self
@@ -28,18 +28,19 @@ from pydantic import BaseModel, Field, ValidationError
 
 from slam_bof.core import describe_error
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import trajectory
-from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
+from slam_bof.geometry import checked_intrinsics
+from slam_bof.types import Array, DepthFrame, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_stamps,
-    poses_at,
     read_gray,
+    read_groundtruth,
     read_lines,
     read_rgb,
     scale_depth,
     sequence_name,
 )
 from slam_bof_plugins.depth_png import check_header, read_depth_png
+from slam_bof_plugins.name_times import as_seconds, times_of_names
 
 __all__ = ["DepthFolder"]
 
@@ -56,10 +57,10 @@ class CameraFile(BaseModel):
 
     width: int = Field(gt=0)
     height: int = Field(gt=0)
-    fx: float = Field(gt=0, allow_inf_nan=False)
-    fy: float = Field(gt=0, allow_inf_nan=False)
-    cx: float = Field(allow_inf_nan=False)
-    cy: float = Field(allow_inf_nan=False)
+    fx: float
+    fy: float
+    cx: float
+    cy: float
     depth_scale: float | None = Field(None, ge=1, allow_inf_nan=False)
     fps: float = Field(30.0, gt=0, allow_inf_nan=False)
 
@@ -74,10 +75,17 @@ class DepthFolder:
     ) -> None:
         self.folder = folder
         self.sequence = sequence_name(folder)
-        self.intrinsics = Intrinsics(
-            camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy
+        self.intrinsics = checked_intrinsics(
+            folder / INTRINSICS,
+            camera.width,
+            camera.height,
+            camera.fx,
+            camera.fy,
+            camera.cx,
+            camera.cy,
         )
         self._depth_scale = camera.depth_scale
+        self.units_per_m = camera.depth_scale or (1000.0 if files[0].suffix == ".png" else 1.0)
         self._files = tuple(files)
         self._stamps_s = stamps_s
         self._groundtruth = _read_groundtruth(folder, stamps_s)
@@ -164,7 +172,7 @@ def _stem(file: Path) -> str:
 
 def _read_camera(file: Path) -> CameraFile:
     try:
-        values = json.loads(file.read_text(encoding="utf-8"))
+        values = json.loads(file.read_text(encoding="utf-8-sig"))
         if not isinstance(values, dict):
             raise ValueError(f"a {type(values).__name__}")
         return CameraFile.model_validate(values)
@@ -187,15 +195,7 @@ def _times(folder: Path, files: list[Path], fps: float) -> tuple[list[Path], Arr
     listed = folder / "timestamps.txt"
     if listed.is_file():
         return _listed_times(listed, files)
-    stems = [_stem(file) for file in files]
-    if all(re.fullmatch(r"\d+\.\d+", stem) for stem in stems):
-        stamps_s = np.array([float(stem) for stem in stems])
-    elif all(re.fullmatch(r"\d{19}", stem) for stem in stems):
-        stamps_s = np.array([int(stem) * 1e-9 for stem in stems])
-    else:
-        numbers = [re.search(r"\d+$", stem) for stem in stems]
-        values = [int(n[0]) if n else i for i, n in enumerate(numbers)]
-        stamps_s = np.array(values if all(numbers) else range(len(files))) / fps
+    stamps_s = times_of_names([_stem(file) for file in files], fps)
     order = np.argsort(stamps_s, kind="stable")
     stamps_s = stamps_s[order]
     check_stamps(stamps_s, folder)
@@ -226,7 +226,7 @@ def _listed_times(path: Path, files: list[Path]) -> tuple[list[Path], Array]:
         raise DatasetError(f"{path}: found {len(rows)} times, expected {len(files)} as images")
     if not known:
         raise DatasetError(f"{path}: found the time of no image, expected lines of name, seconds")
-    stamps_s = np.array([stamp_s for _, stamp_s in known])
+    stamps_s = as_seconds([stamp_s for _, stamp_s in known])
     check_stamps(stamps_s, path)
     return [file for file, _ in known], stamps_s
 
@@ -269,6 +269,5 @@ def _open_array(file: Path) -> NDArray[Any]:
 def _read_groundtruth(folder: Path, stamps_s: Array) -> Trajectory | None:
     for name in POSES:
         if (folder / name).is_file():
-            found = poses_at(trajectory.read_tum(folder / name), stamps_s, MAX_GAP_S)
-            return found if np.isfinite(found.poses).any() else None
+            return read_groundtruth(folder / name, stamps_s, MAX_GAP_S)
     return None

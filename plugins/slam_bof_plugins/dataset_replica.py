@@ -19,8 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
-from slam_bof.types import DepthFrame, Intrinsics, Trajectory
+from slam_bof.geometry import checked_intrinsics, se3, warn_unknown
+from slam_bof.types import DepthFrame, Intrinsics, Pose, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,
     read_gray,
@@ -57,7 +57,7 @@ class Replica:
         self.folder = folder
         self.sequence = sequence_name(folder)
         self.intrinsics = intrinsics
-        self._units_per_m = units_per_m
+        self.units_per_m = units_per_m
         self._files = tuple(files)
         self._numbers = tuple(numbers)
         self._groundtruth = self._read_groundtruth()
@@ -78,7 +78,7 @@ class Replica:
         ------
         DatasetError
             If there are no depth images, one is of 8 bits, in colour, or not of the camera's
-            size; if ``traj.txt`` has no pose for a frame, or an invalid one.
+            size.
         """
         found = _depth_files(path)
         if not found:
@@ -102,7 +102,7 @@ class Replica:
 
     def frame(self, index: int) -> DepthFrame:
         """Read a frame; its time is its number at 30 Hz, its depth float32 m."""
-        depth = scale_depth(read_depth_png(self._files[index]), self._units_per_m)
+        depth = scale_depth(read_depth_png(self._files[index]), self.units_per_m)
         return DepthFrame(self._numbers[index] / FRAMES_PER_S, depth, self.intrinsics)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
@@ -114,7 +114,7 @@ class Replica:
         return read_gray(self._color_file(index))
 
     def groundtruth(self) -> Trajectory | None:
-        """Return the poses of ``traj.txt``, if there is that file."""
+        """Return the poses of ``traj.txt``, NaN where it has none; None without that file."""
         return self._groundtruth
 
     def scenes(self) -> None:
@@ -130,13 +130,17 @@ class Replica:
         path = self.folder / "traj.txt"
         if not path.is_file():
             return None
-        lines = list(read_lines(path, "16 numbers a line: poses"))
-        if len(lines) <= self._numbers[-1]:
-            raise DatasetError(
-                f"{path}: found {len(lines)} poses, expected one for each frame up to "
-                f"{self._numbers[-1]}"
-            )
-        poses = np.array([_pose(*lines[number]) for number in self._numbers])
+        lines = list(read_lines(path, "16 numbers a line: poses", keep_empty=True))
+        poses = np.full((len(self), 4, 4), np.nan)
+        problems = []
+        for index, number in enumerate(self._numbers):
+            try:
+                poses[index] = _pose(lines[number][1] if number < len(lines) else [])
+            except ValueError as error:
+                problems.append(f"line {number + 1}: {error}")
+        warn_unknown(path, problems, len(self))
+        if not np.isfinite(poses).any():
+            return None
         return Trajectory(np.array(self._numbers) / FRAMES_PER_S, poses)
 
 
@@ -159,14 +163,14 @@ def _read_camera(scene: Path) -> tuple[Intrinsics, float, str]:
     else:
         logger.info("%s: no cam_params.json; taking the camera of NICE-SLAM's renderings", scene)
     width, height, *pinhole = (camera[key] for key in KNOWN_CAMERA)
-    intrinsics = Intrinsics(int(width), int(height), *map(float, pinhole))
+    intrinsics = checked_intrinsics(file, int(width), int(height), *map(float, pinhole))
     return intrinsics, float(camera["scale"]), source
 
 
 def _read_json(file: Path) -> dict[str, Any]:
     expected = f"a camera with positive numbers {', '.join(KNOWN_CAMERA)}, scale"
     try:
-        camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))["camera"]
+        camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8-sig"))["camera"]
         if not all(float(camera[key]) > 0.0 for key in (*KNOWN_CAMERA, "scale")):
             raise ValueError("a number that is not positive")
     except KeyError as error:
@@ -176,10 +180,9 @@ def _read_json(file: Path) -> dict[str, Any]:
     return camera
 
 
-def _pose(where: str, words: list[str]) -> NDArray[np.float64]:
-    try:
-        T = np.array([float(word) for word in words]).reshape(4, 4)
-        se3.check_rigid(T)
-    except ValueError as error:
-        raise DatasetError(f"{where}: {error}, expected 16 numbers: a pose") from None
+def _pose(words: list[str]) -> Pose:
+    if len(words) != 16:
+        raise ValueError(f"found {len(words)} numbers, expected 16: a pose")
+    T = np.array([float(word) for word in words]).reshape(4, 4)
+    se3.check_rigid(T)
     return se3.nearest_pose(T)

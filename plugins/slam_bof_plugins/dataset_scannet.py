@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
+from slam_bof.geometry import checked_intrinsics, se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
 from slam_bof_plugins.dataset_files import register, scale_depth, sequence_name
 from slam_bof_plugins.sens_file import SensFile, is_sens, open_sens
@@ -35,9 +35,9 @@ class ScanNet:
 
     def __init__(self, sens: SensFile) -> None:
         self._sens = sens
+        self.units_per_m = sens.units_per_m
         self.sequence = sequence_name(sens.path.with_suffix(""))
-        self.intrinsics = _camera(sens.K_depth, sens.depth_size)
-        self._color_camera = _camera(sens.K_color, sens.color_size)
+        self.intrinsics = _camera(sens.path, sens.K_depth, sens.depth_size)
         self._stamps_s = _times(sens)
         self._groundtruth = _groundtruth(sens, self._stamps_s)
 
@@ -55,7 +55,7 @@ class ScanNet:
         ------
         DatasetError
             If there is none or several, or it is truncated, of another version or without
-            frames; if a pose is neither a pose nor lost.
+            frames.
         """
         files = _sens_files(path)
         if len(files) != 1:
@@ -64,8 +64,6 @@ class ScanNet:
         sens = open_sens(files[0])
         if len(sens.places) == 0:
             raise DatasetError(f"{files[0]}: found no frames, expected a scan")
-        if not (sens.K_depth[0, 0] > 0.0 and sens.K_depth[1, 1] > 0.0):
-            raise DatasetError(f"{files[0]}: found no focal length of depth, expected intrinsics")
         sens.read_depth(0)
         return cls(sens)
 
@@ -80,11 +78,13 @@ class ScanNet:
 
     def color(self, index: int) -> NDArray[np.uint8] | None:
         """Read the colour image and move its pixels (H, W, 3) to where depth sees them."""
-        bgr = self._color_image(index, cv2.IMREAD_COLOR)
-        if bgr is None or not self._color_camera.fx > 0.0:
+        sens = self._sens
+        bgr = self._color_image(index, cv2.IMREAD_COLOR) if sens.K_color[0, 0] > 0.0 else None
+        if bgr is None:
             return None
         rgb = np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-        return register(rgb, self._color_camera, self.intrinsics)
+        camera = _camera(f"{sens.path}: colour", sens.K_color, sens.color_size)
+        return register(rgb, camera, self.intrinsics)
 
     def gray(self, index: int) -> NDArray[np.uint8] | None:
         """Read the colour image as it was recorded, in grey, (H, W)."""
@@ -114,10 +114,10 @@ def _sens_files(path: Path) -> list[Path]:
     return [path] if path.is_file() else []
 
 
-def _camera(K: Array, size: tuple[int, int]) -> Intrinsics:
+def _camera(where: Path | str, K: Array, size: tuple[int, int]) -> Intrinsics:
     height, width = size
     fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Intrinsics(width, height, fx, fy, cx, cy)
+    return checked_intrinsics(where, width, height, fx, fy, cx, cy)
 
 
 def _times(sens: SensFile) -> Array:
@@ -132,11 +132,14 @@ def _groundtruth(sens: SensFile, stamps_s: Array) -> Trajectory | None:
     poses = sens.poses.copy()
     lost = ~np.isfinite(poses).all(axis=(1, 2))
     poses[lost] = np.nan
+    problems = []
     for index in np.flatnonzero(~lost).tolist():
+        T = poses[index].copy()
         try:
-            se3.check_rigid(poses[index])
+            se3.check_rigid(T)
+            poses[index] = se3.nearest_pose(T)
         except ValueError as error:
-            raise DatasetError(f"{sens.path}: pose of frame {index}: {error}") from None
-        T = poses[index]
-        poses[index] = se3.nearest_pose(T)
-    return None if lost.all() else Trajectory(stamps_s, poses)
+            problems.append(f"frame {index}: {error}")
+            poses[index] = np.nan
+    warn_unknown(sens.path, problems, len(poses))
+    return Trajectory(stamps_s, poses) if np.isfinite(poses).any() else None

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import DepthFrame, Intrinsics, Params
 from slam_bof_plugins.dataset_files import read_gray, read_rgb
 from slam_bof_plugins.depth_png import check_header, read_depth_png
@@ -216,7 +217,7 @@ def _read_split(file: Path, images: Path) -> Iterator[tuple[Path, bool]]:
 
 def _read_scene(file: Path) -> str:
     try:
-        scene = file.read_text(encoding="utf-8").strip()
+        scene = file.read_text(encoding="utf-8-sig").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{file}: {error}, expected the name of a scene") from error
     if not scene or len(scene.split()) != 1:
@@ -241,13 +242,13 @@ def _only(folder: Path, suffix: str) -> Path | None:
 
 def _read_camera(file: Path, size: tuple[int, int]) -> Intrinsics:
     try:
-        K = np.array([float(word) for word in file.read_text(encoding="utf-8").split()])
+        K = np.array([float(word) for word in file.read_text(encoding="utf-8-sig").split()])
     except (OSError, ValueError) as error:
         raise DatasetError(f"{file}: {error}, expected 9 numbers: intrinsics") from error
-    if K.shape != (9,) or not np.isfinite(K).all() or K[0] <= 0.0 or K[4] <= 0.0:
+    if K.shape != (9,):
         raise DatasetError(f"{file}: found {K.tolist()}, expected 9 numbers: fx 0 cx 0 fy cy 0 0 1")
     height, width = size
-    return Intrinsics(width, height, float(K[0]), float(K[4]), float(K[2]), float(K[5]))
+    return checked_intrinsics(file, width, height, *K[[0, 4, 2, 5]].tolist())
 
 
 def _decode(stored: NDArray[np.uint16]) -> NDArray[np.uint16]:

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import trajectory
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,
     check_stamps,
     nearest,
-    poses_at,
     read_gray,
+    read_groundtruth,
     read_lines,
     read_rgb,
     scale_depth,
@@ -82,6 +82,7 @@ class TumRgbd:
     """One sequence of the TUM RGB-D benchmark, or in its layout."""
 
     name: ClassVar[str] = "tum"
+    units_per_m: ClassVar[float] = UNITS_PER_M
     Params = TumParams
 
     def __init__(
@@ -93,7 +94,7 @@ class TumRgbd:
         self._stamps_s = stamps_s
         self._files = tuple(files)
         self._colors = _match_colors(folder, stamps_s)
-        self._groundtruth = _read_groundtruth(folder, stamps_s)
+        self._groundtruth = read_groundtruth(folder / "groundtruth.txt", stamps_s, MAX_GAP_S)
 
     @classmethod
     def recognises(cls, path: Path) -> str:
@@ -113,7 +114,8 @@ class TumRgbd:
         ------
         DatasetError
             If a list is missing or malformed, or its times do not grow; if no listed depth image
-            is there, one is of 8 bits, in colour or of another size; if a pose is no pose.
+            is there, one is of 8 bits, in colour or of another size; if no line of
+            ``groundtruth.txt`` is a pose.
         """
         stamps_s, files = _read_list(path / "depth.txt")
         present = [i for i, file in enumerate(files) if file.is_file()]
@@ -191,20 +193,9 @@ def _match_colors(folder: Path, stamps_s: Array) -> tuple[Path | None, ...]:
     return tuple(files[i] if i >= 0 else None for i in matches.tolist())
 
 
-def _read_groundtruth(folder: Path, stamps_s: Array) -> Trajectory | None:
-    file = folder / "groundtruth.txt"
-    if not file.is_file():
-        return None
-    found = poses_at(trajectory.read_tum(file), stamps_s, MAX_GAP_S)
-    unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
-    if unknown:
-        logger.warning("%s: no pose near %d of %d frames", file, unknown, len(stamps_s))
-    return found if unknown < len(stamps_s) else None
-
-
 def _camera(folder: Path, params: TumParams, width: int, height: int) -> Intrinsics:
     if params.intrinsics is not None:
-        return Intrinsics(width, height, *params.intrinsics)
+        return checked_intrinsics("dataset.options.intrinsics", width, height, *params.intrinsics)
     which = params.camera
     match = re.search(r"freiburg([123])", folder.resolve().name)
     if which != "default" and match is None:

@@ -170,7 +170,7 @@ def _read(params: RecordedParams) -> tuple[Trajectory, bool]:
 def _format_by_name(file: Path) -> Literal["npy", "bag", ""]:
     if file.suffix == ".npy":
         return "npy"
-    return "bag" if file.suffix in BAGS or file.is_dir() else ""
+    return "bag" if file.suffix.lower() in BAGS or file.is_dir() else ""
 
 
 def _read_bag(params: RecordedParams) -> Trajectory:
@@ -193,7 +193,7 @@ def _read_bag(params: RecordedParams) -> Trajectory:
 def _text_format(file: Path) -> Literal["tum", "kitti"]:
     """Distinguish TUM from KITTI by the first line of numbers; TUM where it is neither."""
     try:
-        with file.open(encoding="utf-8", errors="replace") as lines:
+        with file.open(encoding="utf-8-sig", errors="replace") as lines:
             for line in lines:
                 if line.strip() and not line.lstrip().startswith("#"):
                     return "kitti" if len(line.split()) == 12 else "tum"

@@ -16,8 +16,8 @@ from sklearn.decomposition import PCA
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils import Tags
 from sklearn.utils.validation import check_is_fitted, check_non_negative, validate_data
-from threadpoolctl import threadpool_limits
 
+from slam_bof.core import one_native_thread
 from slam_bof.types import Array, Bag
 
 __all__ = ["TfIdf", "Vocabulary", "count_words"]
@@ -75,7 +75,7 @@ class Vocabulary(ClusterMixin, BaseEstimator):
                 f"for n_samples = {len(X)}"
             )
         # With one thread sums have one order, and the same seed gives the same bytes.
-        with threadpool_limits(1), warnings.catch_warnings():
+        with one_native_thread(), warnings.catch_warnings():
             # Descriptors may have fewer distinct values than there are words.
             warnings.simplefilter("ignore", ConvergenceWarning)
             self._set_words(self._learn(X))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from typing import Annotated, Any
 
@@ -19,7 +20,7 @@ from slam_bof.cli.localize import localize
 from slam_bof.cli.map import app as map_tools
 from slam_bof.cli.options import NumbersCommand
 from slam_bof.cli.plugins import plugins
-from slam_bof.cli.query import query
+from slam_bof.cli.query import app as query
 from slam_bof.cli.record import record
 from slam_bof.cli.report import report
 from slam_bof.cli.run import INTERRUPTED, run
@@ -63,7 +64,6 @@ app = typer.Typer(
     cls=OneLineErrors,
     help="Depth-only place recognition, loop closing and scene labels.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -79,13 +79,29 @@ def _options(
     ] = False,
 ) -> None:
     """Depth-only place recognition, loop closing and scene labels."""
+    root = logging.getLogger()
+    if not any(isinstance(handler, ShowWarnings) for handler in root.handlers):
+        root.addHandler(ShowWarnings())
+
+
+class ShowWarnings(logging.Handler):
+    """Prints warnings of all libraries on stderr, but those of a run, which its bar shows."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.addFilter(lambda record: record.name != "slam_bof.run.logging_observer")
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a warning in one line."""
+        typer.echo(f"warning: {' '.join(record.getMessage().split())}", err=True)
 
 
 for command in (
-    *(demo, run, query, localize, report, export, train),
+    *(demo, run, localize, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
-    app.command(cls=NumbersCommand if command in (query, localize) else None)(command)
+    app.command(cls=NumbersCommand if command is localize else None)(command)
+app.add_typer(query, name="query")
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(map_tools, name="map")
 

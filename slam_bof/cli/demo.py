@@ -29,7 +29,9 @@ def demo(
         sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
     # The flat is drawn, as are the rooms that this model has learnt from and is right about.
     config = configs.preset("indoor").model_copy(update={"seed": seed, "model": "synthetic"})
-    run_new(sequence, config, out, max_frames=max_frames, quiet=quiet, as_json=as_json)
+    run_new(
+        sequence, config, out, max_frames=max_frames, with_color=True, quiet=quiet, as_json=as_json
+    )
 
 
 def _cache() -> Path:

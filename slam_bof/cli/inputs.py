@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import json
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
+from slam_bof.cli.options import parse_numbers
+
 if TYPE_CHECKING:
     from slam_bof.ports import Dataset
     from slam_bof.slam import PluginChoice
+    from slam_bof.types import DepthFrame
 
-__all__ = ["map_file", "open_sequence"]
+__all__ = ["map_file", "open_sequence", "read_image"]
 
 
 def map_file(path: Path) -> Path:
@@ -22,7 +29,7 @@ def map_file(path: Path) -> Path:
 def open_sequence(
     path: Path, choice: PluginChoice, frames: str | None, *, quiet: bool
 ) -> tuple[Dataset, list[str]]:
-    """Open a sequence; return it, and remarks on how its layout was recognised.
+    """Open a sequence; return it, and remarks: how its layout was recognised, and warnings.
 
     Raises
     ------
@@ -40,10 +47,77 @@ def open_sequence(
         name, remarks = found.name, [f"{path}: {found}"]
         if not quiet:
             typer.echo(remarks[0], err=True)
-    dataset = registry.open_dataset(path, name, choice.options)
+    with _collecting_warnings() as warnings:
+        dataset = registry.open_dataset(path, name, choice.options)
+    remarks += warnings
     if isinstance(dataset, LabelledImages):
         raise DatasetError(
             f"{path}: found single images of {name}, expected a sequence; "
             "single images serve train and evaluate scenes"
         )
     return (dataset if frames is None else SequenceSlice.parse(dataset, frames)), remarks
+
+
+def read_image(
+    path: Path, map_: Path | None, *, intrinsics: str | None, depth_scale: float | None
+) -> tuple[DepthFrame, str]:
+    """Read a depth image whose camera and unit are given, in intrinsics.json, or those of a map.
+
+    Return the frame, and the source of its intrinsics in words.
+
+    Raises
+    ------
+    DatasetError
+        If they are unknown: they are not guessed.
+    """
+    from slam_bof.datasets import CAMERA_FILE, read_depth_image
+    from slam_bof.errors import DatasetError
+    from slam_bof.store import MapStore
+
+    given = None
+    if intrinsics is not None:
+        given = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
+    is_described = (path.parent / CAMERA_FILE).is_file()
+    source = ""
+    if map_ is not None and not (is_described and given is None):
+        with MapStore.open(map_) as store:
+            camera, units = store.intrinsics(), store.parameters().get("units_per_m", "null")
+        if given is None and camera is not None:
+            given, source = [camera.fx, camera.fy, camera.cx, camera.cy], f"from {store.path}"
+        if depth_scale is None and path.suffix != ".npy":
+            depth_scale = json.loads(units)
+            if depth_scale is None:
+                raise DatasetError(
+                    f"{path}: found no unit of depth in {store.path}, expected --depth-scale, the "
+                    "units per metre, such as 1000"
+                )
+    if given is None and not is_described:
+        raise DatasetError(
+            f"{path}: found no {CAMERA_FILE} beside it, expected --intrinsics FX FY CX CY, or "
+            "--map for the camera of a map"
+        )
+    frame, found = read_depth_image(path, intrinsics=given, depth_scale=depth_scale)
+    return frame, source or found
+
+
+class _Collector(logging.Handler):
+    """Keeps messages."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.messages: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a message."""
+        self.messages.append(f"{record.levelname}: {record.getMessage()}")
+
+
+@contextmanager
+def _collecting_warnings() -> Iterator[list[str]]:
+    """Collect what is warned of, for the log of a run that does not exist yet."""
+    collector, root = _Collector(), logging.getLogger()
+    root.addHandler(collector)
+    try:
+        yield collector.messages
+    finally:
+        root.removeHandler(collector)

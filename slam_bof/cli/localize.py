@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.inputs import map_file, open_sequence
+from slam_bof.cli.inputs import map_file, open_sequence, read_image
 from slam_bof.cli.options import (
     DEPTH_SCALE,
     EVERY,
@@ -18,7 +18,6 @@ from slam_bof.cli.options import (
     MAP,
     QUIET,
     Format,
-    parse_numbers,
 )
 from slam_bof.cli.tables import show_rows
 
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 
     from slam_bof.maps import LocalizedFrame
     from slam_bof.ports import Dataset
-    from slam_bof.types import DepthFrame, Intrinsics, Trajectory
+    from slam_bof.types import DepthFrame, Trajectory
 
 __all__ = ["localize"]
 
@@ -69,14 +68,14 @@ def localize(
     the accuracy of the answers.
     """
     from slam_bof.cli.console import Bar, print_json
-    from slam_bof.datasets import is_image
+    from slam_bof.datasets import first_frame, is_image
     from slam_bof.maps import MapLocalizer
     from slam_bof.slam import PluginChoice
 
     form: Format = "json" if as_json else format_
     localizer = MapLocalizer.open(map_file(map_))
     if is_image(source) and not source.is_dir():
-        frame = _read(source, localizer.intrinsics, intrinsics, depth_scale)
+        frame = read_image(source, map_, intrinsics=intrinsics, depth_scale=depth_scale)[0]
         row = _row(0, frame, localizer.localize(frame))
         if form == "json":
             print_json(row)
@@ -84,42 +83,35 @@ def localize(
             show_rows([row], COLUMNS, form)
         return
     sequence, _ = open_sequence(source, PluginChoice(name=dataset), frames, quiet=True)
-    truth = sequence.groundtruth()
+    truth, first = sequence.groundtruth(), first_frame(sequence)
     rows: list[dict[str, Any]] = []
     with Bar("Localizing", quiet=quiet or form != "table") as bar:
         for index, frame in _frames(sequence, every, rows):
-            rows.append(_row(index, frame, localizer.localize(frame)))
+            rows.append(_row(first + index, frame, localizer.localize(frame)))
             bar.show(index + 1, len(sequence))
     show_rows(rows, COLUMNS, form)
     if form == "table":
-        _summarise(rows, truth)
-
-
-def _read(
-    path: Path, camera: Intrinsics, intrinsics: str | None, depth_scale: float | None
-) -> DepthFrame:
-    """Read a depth image; without other intrinsics it has the map's camera."""
-    from slam_bof.datasets import read_depth_image
-
-    given = [camera.fx, camera.fy, camera.cx, camera.cy]
-    if intrinsics is not None:
-        given = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
-    elif (path.parent / "intrinsics.json").is_file():
-        given = []
-    return read_depth_image(path, intrinsics=given or None, depth_scale=depth_scale)[0]
+        _summarise(rows, truth, first)
 
 
 def _frames(
     sequence: Dataset, every: int, rows: list[dict[str, Any]]
 ) -> Iterator[tuple[int, DepthFrame]]:
     """Yield the frames; for a frame that cannot be read, add a row that says so."""
+    from slam_bof.datasets import first_frame
     from slam_bof.errors import DatasetError
 
     for index in range(0, len(sequence), every):
         try:
             yield index, sequence.frame(index)
         except DatasetError as error:
-            rows.append({"frame_index": index, "is_known": False, "reason": str(error)})
+            rows.append(
+                {
+                    "frame_index": first_frame(sequence) + index,
+                    "is_known": False,
+                    "reason": str(error),
+                }
+            )
 
 
 def _row(index: int, frame: DepthFrame, located: LocalizedFrame) -> dict[str, Any]:
@@ -144,7 +136,7 @@ def _row(index: int, frame: DepthFrame, located: LocalizedFrame) -> dict[str, An
     }
 
 
-def _summarise(rows: list[dict[str, Any]], truth: Trajectory | None) -> None:
+def _summarise(rows: list[dict[str, Any]], truth: Trajectory | None, first: int) -> None:
     """Print how many frames were localized and, with true poses, how accurately."""
     import numpy as np
 
@@ -156,7 +148,7 @@ def _summarise(rows: list[dict[str, Any]], truth: Trajectory | None) -> None:
         return
     unknown = np.full((4, 4), np.nan)
     found = np.array([row.get("T_map_camera") or unknown for row in rows])
-    accuracy = pose_accuracy(found, truth.poses[[row["frame_index"] for row in rows]])
+    accuracy = pose_accuracy(found, truth.poses[[row["frame_index"] - first for row in rows]])
     if accuracy is None:
         return
     shares = ", ".join(

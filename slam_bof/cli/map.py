@@ -196,6 +196,28 @@ def merge(
 
 
 @app.command()
+def finish(map_: MAP, as_json: JSON = False) -> None:
+    """Finish an interrupted session from what the map holds, where its data are gone."""
+    from slam_bof.cli.console import print_json
+    from slam_bof.maps import finish_map
+    from slam_bof.store import MapStore
+
+    path = map_file(map_)
+    with MapStore.open(path, read_only=False) as store:
+        session = finish_map(store)
+        n_keyframes = sum(
+            session is not None and keyframe.session == session.id for keyframe in store.keyframes()
+        )
+    if as_json:
+        id_ = None if session is None else session.id
+        print_json({"file": str(path), "session": id_, "n_keyframes": n_keyframes})
+    elif session is None:
+        typer.echo(f"{path}: all sessions are finished")
+    else:
+        typer.echo(f"{path}: finished session {session.id} of {n_keyframes} keyframes")
+
+
+@app.command()
 def vacuum(map_: MAP, as_json: JSON = False) -> None:
     """Rebuild the file of a map without the space of deleted rows."""
     from slam_bof.cli.console import print_json

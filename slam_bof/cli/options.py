@@ -12,6 +12,7 @@ from slam_bof.errors import ConfigError
 
 __all__ = [
     "CAMERA",
+    "COMPONENT",
     "COPIES",
     "DEPTH_SCALE",
     "EVERY",
@@ -49,6 +50,12 @@ FRAMES = Annotated[
 MAX_FRAMES = Annotated[int | None, typer.Option(min=1, help="Stop after this many frames.")]
 EVERY = Annotated[int, typer.Option(min=1, help="Use every n-th frame.")]
 MAP = Annotated[Path, typer.Argument(metavar="MAP", help="A map.db, or the folder of a run.")]
+COMPONENT = Annotated[
+    int | None,
+    typer.Option(
+        min=0, help="Only this component of the pose graph; by default the largest where needed."
+    ),
+]
 SEED = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 N_WORDS = Annotated[int, typer.Option("--words", min=2, help="Words in each vocabulary.")]
 CAMERA = Annotated[
@@ -73,13 +80,15 @@ INTRINSICS = Annotated[
     typer.Option(
         metavar="FX FY CX CY",
         help="For an IMAGE: focal lengths and principal point in pixels. By default those in "
-        "intrinsics.json beside the image; without that file, localize takes the map's camera, "
-        "query a Kinect's.",
+        "intrinsics.json beside the image, or of the map.",
     ),
 ]
 DEPTH_SCALE = Annotated[
     float | None,
-    typer.Option(min=1.0, help="For an IMAGE: depth units per metre. By default 1000 (mm)."),
+    typer.Option(
+        min=1.0,
+        help="For an IMAGE: depth units per metre. By default those of the map, or 1000 (mm).",
+    ),
 ]
 
 N_NUMBERS = {"--near": 3, "--intrinsics": 4}

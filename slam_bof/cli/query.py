@@ -2,39 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperGroup
 
-from slam_bof.cli.inputs import map_file
+from slam_bof.cli.inputs import map_file, read_image
 from slam_bof.cli.options import (
+    COMPONENT,
     DEPTH_SCALE,
     FORMAT,
     INTRINSICS,
     JSON,
+    MAP,
     Format,
+    NumbersCommand,
     parse_numbers,
 )
 from slam_bof.cli.tables import show_rows
-from slam_bof.errors import ConfigError
 
-__all__ = ["query"]
+if TYPE_CHECKING:
+    from slam_bof.scenes import MapRoom
+    from slam_bof.store import MapStore
+
+__all__ = ["app"]
 
 KEYFRAMES = (
     ("keyframe", "id"),
     ("frame", "frame_index"),
     ("time s", "stamp_s"),
-    ("scene", "label"),
-    ("probability", "label_probability"),
-    ("scene of image", "scene"),
+    ("smoothed", "smoothed"),
+    ("probability", "smoothed_probability"),
+    ("scene", "scene"),
     ("probability", "scene_probability"),
     ("room", "region"),
     ("x m", "translation_m_0"),
     ("y m", "translation_m_1"),
     ("z m", "translation_m_2"),
     ("loops", "n_loops"),
+    ("component", "component"),
 )
 LOOPS = (
     ("query", "query_id"),
@@ -42,10 +51,14 @@ LOOPS = (
     ("query time s", "query_stamp_s"),
     ("match time s", "match_stamp_s"),
     ("found by", "source"),
+    ("overlap", "overlap"),
+    ("decision", "decision"),
+    ("reason", "reason"),
+    ("component", "component"),
 )
 ROOMS = (
     ("room", "id"),
-    ("scene", "label"),
+    ("label", "label"),
     ("probability", "probability"),
     ("keyframes", "n_keyframes"),
     ("x m", "center_m_0"),
@@ -54,18 +67,49 @@ ROOMS = (
     ("size x m", "size_m_0"),
     ("size y m", "size_m_1"),
     ("size z m", "size_m_2"),
+    ("component", "component"),
 )
 
 
-def query(
-    path: Annotated[
-        Path,
-        typer.Argument(
-            metavar="MAP|IMAGE",
-            help="A map.db, the folder of a run, or (with --model) a depth image.",
-        ),
-    ],
-    keyframe: Annotated[int | None, typer.Option(min=0, help="Only this keyframe.")] = None,
+class QueryGroup(TyperGroup):
+    """Subcommands, of which the plain forms ``query MAP`` and ``query IMAGE`` need no name."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Put the name of the subcommand in front where there is none."""
+        if args and args[0] not in self.commands and args != ["--help"] and args != ["-h"]:
+            args = _name_command(args)
+        return super().parse_args(ctx, args)
+
+
+def _name_command(args: list[str]) -> list[str]:
+    from slam_bof.datasets import is_image
+
+    for option, command in (("--loops", "loops"), ("--rooms", "rooms"), ("--regions", "rooms")):
+        if option in args:
+            return [command, *(arg for arg in args if arg != option)]
+    paths = [Path(arg) for arg in args if not arg.startswith("-")]
+    shows_image = any(is_image(path) and not path.is_dir() for path in paths)
+    return ["image" if shows_image else "keyframes", *args]
+
+
+app = typer.Typer(
+    cls=QueryGroup,
+    no_args_is_help=True,
+    help="Print keyframes, rooms or loops of a saved map, or the scene of a depth image.",
+)
+
+SCENE = Annotated[str | None, typer.Option(help="Only what has this label.")]
+MIN_PROBABILITY = Annotated[
+    float, typer.Option(min=0.0, max=1.0, help="Only labels at least this probable.")
+]
+LIMIT = Annotated[int | None, typer.Option(min=1, help="Print at most this many.")]
+KEYFRAME = Annotated[int | None, typer.Option(min=0, help="Only this keyframe.")]
+
+
+@app.command(cls=NumbersCommand)
+def keyframes(
+    map_: MAP,
+    keyframe: KEYFRAME = None,
     time: Annotated[
         float | None, typer.Option(metavar="S", help="Order by time difference to S.")
     ] = None,
@@ -77,53 +121,23 @@ def query(
         str | None,
         typer.Option(help="Only keyframes with this label; rooms with it are printed too."),
     ] = None,
-    min_probability: Annotated[
-        float,
-        typer.Option(min=0.0, max=1.0, help="Only labels at least this probable."),
-    ] = 0.0,
+    min_probability: MIN_PROBABILITY = 0.0,
     labels: Annotated[
         Literal["smoothed", "raw"],
         typer.Option(help="Labels smoothed over neighbours, or those of single images."),
     ] = "smoothed",
-    limit: Annotated[int | None, typer.Option(min=1, help="Print at most this many.")] = None,
-    rooms: Annotated[
-        bool, typer.Option("--rooms", "--regions", help="Print rooms instead.")
-    ] = False,
-    loops: Annotated[bool, typer.Option("--loops", help="Print loops instead.")] = False,
-    model: Annotated[
-        str | None, typer.Option(help="For an IMAGE: the model file, default or synthetic.")
-    ] = None,
-    intrinsics: INTRINSICS = None,
-    depth_scale: DEPTH_SCALE = None,
+    component: COMPONENT = None,
+    limit: LIMIT = None,
     format_: FORMAT = "table",
     as_json: JSON = False,
 ) -> None:
-    """Print keyframes, rooms or loops of a saved map, with poses and scene labels.
+    """Print the keyframes of a saved map, with poses and scene labels."""
+    from slam_bof.store import MapStore, query_keyframes, query_rooms
 
-    For a single depth image, print the scene label that a model gives it.
-    """
-    from slam_bof.datasets import is_image
-
+    if time is not None and near is not None:
+        raise typer.BadParameter("found both --time and --near, expected one order")
     form: Format = "json" if as_json else format_
-    if is_image(path) and not path.is_dir():
-        of_map = {"--time": time, "--keyframe": keyframe, "--near": near, "--scene": scene}
-        _refuse([name for name, value in of_map.items() if value is not None], "a map")
-        _label_image(path, model, intrinsics, depth_scale, min_probability, form)
-        return
-    of_image = {"--model": model, "--intrinsics": intrinsics, "--depth-scale": depth_scale}
-    _refuse([name for name, value in of_image.items() if value is not None], "a depth image")
-    from slam_bof.store import MapStore, query_keyframes, query_loops, query_rooms
-
-    with MapStore.open(map_file(path)) as store:
-        if loops:
-            show_rows(
-                [asdict(r) for r in query_loops(store, keyframe_id=keyframe)[:limit]], LOOPS, form
-            )
-            return
-        if rooms:
-            found = query_rooms(store, scene=scene, min_probability=min_probability)
-            show_rows([_room(room) for room in found[:limit]], ROOMS, form)
-            return
+    with MapStore.open(map_file(map_)) as store:
         records = query_keyframes(
             store,
             keyframe_id=keyframe,
@@ -132,37 +146,92 @@ def query(
             scene=scene,
             min_probability=min_probability,
             labels=labels,
+            component=component,
             limit=limit,
         )
         if scene is not None and form == "table":
-            with_scene = [_room(r) for r in query_rooms(store, scene=scene)]
+            with_scene = _rooms(store, query_rooms(store, scene=scene))
             show_rows(with_scene, ROOMS, form, "Rooms (extent of the camera positions)")
-    rows = [asdict(record) for record in records]
-    if form == "table":
-        rows = [{**row, **_label(row)} for row in rows]
-    show_rows(rows, KEYFRAMES, form)
+    show_rows([asdict(record) for record in records], KEYFRAMES, form)
+
+
+@app.command()
+def rooms(
+    map_: MAP,
+    scene: SCENE = None,
+    min_probability: MIN_PROBABILITY = 0.0,
+    limit: LIMIT = None,
+    format_: FORMAT = "table",
+    as_json: JSON = False,
+) -> None:
+    """Print the rooms of a saved map: their labels and extents."""
+    from slam_bof.store import MapStore, query_rooms
+
+    with MapStore.open(map_file(map_)) as store:
+        found = query_rooms(store, scene=scene, min_probability=min_probability)
+        rows = _rooms(store, found[:limit])
+    show_rows(rows, ROOMS, "json" if as_json else format_)
+
+
+@app.command()
+def loops(
+    map_: MAP,
+    keyframe: KEYFRAME = None,
+    accepted: Annotated[bool, typer.Option("--accepted", help="Only loops of the graph.")] = False,
+    rejected: Annotated[
+        bool, typer.Option("--rejected", help="Only pairs that were rejected or held.")
+    ] = False,
+    limit: LIMIT = None,
+    format_: FORMAT = "table",
+    as_json: JSON = False,
+) -> None:
+    """Print the pairs that were considered as loops, the decisions, and why."""
+    from slam_bof.store import MapStore, query_loops
+
+    if accepted and rejected:
+        raise typer.BadParameter("found both --accepted and --rejected, expected one of them")
+    with MapStore.open(map_file(map_)) as store:
+        found = query_loops(store, keyframe_id=keyframe, considered=not accepted)
+    if rejected:
+        found = [record for record in found if record.decision != "accepted"]
+    show_rows([asdict(record) for record in found[:limit]], LOOPS, "json" if as_json else format_)
+
+
+@app.command(cls=NumbersCommand)
+def image(
+    path: Annotated[Path, typer.Argument(metavar="IMAGE", help="A depth image.")],
+    model: Annotated[str, typer.Option(help="The model file, default or synthetic.")] = "default",
+    map_: Annotated[
+        Path | None,
+        typer.Option("--map", metavar="MAP", help="Take camera and unit of depth from this map."),
+    ] = None,
+    intrinsics: INTRINSICS = None,
+    depth_scale: DEPTH_SCALE = None,
+    min_probability: MIN_PROBABILITY = 0.0,
+    format_: FORMAT = "table",
+    as_json: JSON = False,
+) -> None:
+    """Print the scene label that a model gives a single depth image."""
+    form: Format = "json" if as_json else format_
+    _label_image(path, model, map_, intrinsics, depth_scale, min_probability, form)
 
 
 def _label_image(
     path: Path,
-    model: str | None,
+    model: str,
+    map_: Path | None,
     intrinsics: str | None,
     depth_scale: float | None,
     min_probability: float,
     form: Format,
 ) -> None:
     from slam_bof.cli.console import print_json
-    from slam_bof.scenes import label_image, model as models
+    from slam_bof.scenes import label_frame, model as models
 
-    numbers = None
-    if intrinsics is not None:
-        numbers = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
-    answer = label_image(
-        path,
-        models.resolve(model),
-        intrinsics=numbers,
-        depth_scale=depth_scale,
-        min_probability=min_probability,
+    chosen = models.resolve(model)
+    frame, source = read_image(path, map_, intrinsics=intrinsics, depth_scale=depth_scale)
+    answer = label_frame(
+        frame, chosen, name=str(path), source=source, min_probability=min_probability
     )
     if form == "json":
         print_json(asdict(answer))
@@ -178,17 +247,16 @@ def _label_image(
     show_rows(rows, (("scene", "scene"), ("probability", "probability")), form)
 
 
-def _label(row: dict[str, Any]) -> dict[str, Any]:
-    """Return the smoothed label of a keyframe; where there is none, that of its image."""
-    name = "scene" if row["smoothed"] is None else "smoothed"
-    return {"label": row[name], "label_probability": row[f"{name}_probability"]}
+def _rooms(store: MapStore, found: Sequence[MapRoom]) -> list[dict[str, Any]]:
+    from slam_bof.store import components_of
 
-
-def _room(room: Any) -> dict[str, Any]:
-    size_m = tuple(b - a for a, b in zip(room.low_m, room.high_m, strict=True))
-    return {**asdict(room), "size_m": size_m, "n_keyframes": len(room.keyframe_ids)}
-
-
-def _refuse(options: list[str], what: str) -> None:
-    if options:
-        raise ConfigError(f"{', '.join(options)}: found without {what}, expected for {what} only")
+    components = components_of(store)
+    return [
+        {
+            **asdict(room),
+            "size_m": tuple(b - a for a, b in zip(room.low_m, room.high_m, strict=True)),
+            "n_keyframes": len(room.keyframe_ids),
+            "component": int(components[room.keyframe_ids[0]]),
+        }
+        for room in found
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +34,7 @@ SUMMARY = (
     ("Loops accepted", "n_loops", ""),
     ("Correct loops", "loop_precision", "share"),
     ("Correct scene labels (single image)", "scene_accuracy", "share"),
+    ("Correct scene labels (smoothed)", "scene_accuracy_smoothed", "share"),
     ("Frames", "n_frames", ""),
     ("Keyframes", "n_keyframes", ""),
     ("Speed", "fps", "frames/s"),
@@ -42,9 +44,12 @@ SUMMARY = (
 
 def run(
     sequence: Annotated[
-        Path,
-        typer.Argument(help="Folder of a sequence of depth images, or a .bag or .sens file."),
-    ],
+        Path | None,
+        typer.Argument(
+            help="Folder of a sequence of depth images, or a .bag or .sens file. With --resume it "
+            "may be left out if the data are where they were."
+        ),
+    ] = None,
     out: OUT = Path("runs"),
     config: Annotated[
         str, typer.Option("--config", "-c", metavar="PRESET|FILE", help="Configuration.")
@@ -76,6 +81,12 @@ def run(
             help="Resume the interrupted run of this map.db or folder after its last keyframe.",
         ),
     ] = None,
+    color: Annotated[
+        bool, typer.Option("--color", help="Give map.ply the data set's colour, if it has any.")
+    ] = False,
+    z_up: Annotated[
+        bool, typer.Option("--z-up", help="Write map.ply in a frame with z up, 0 on the floor.")
+    ] = False,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
@@ -103,10 +114,14 @@ def run(
             out,
             frames=frames,
             max_frames=max_frames,
+            with_color=color,
+            z_up=z_up,
             quiet=quiet,
             as_json=as_json,
         )
         return
+    if sequence is None:
+        raise typer.BadParameter("found no SEQUENCE, expected one, or --resume")
     chosen = configs.override(configs.resolve(config), assignments or [])
     values: dict[str, Any] = {"model": model, "seed": seed}
     if dataset is not None:
@@ -118,6 +133,8 @@ def run(
         frames=frames,
         max_frames=max_frames,
         map_=None if map_ is None else map_file(map_),
+        with_color=color,
+        z_up=z_up,
         quiet=quiet,
         as_json=as_json,
     )
@@ -131,6 +148,8 @@ def run_new(
     frames: str | None = None,
     max_frames: int | None,
     map_: Path | None = None,
+    with_color: bool = False,
+    z_up: bool = False,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -146,18 +165,23 @@ def run_new(
             map_file=map_,
             observer=observer,
             max_frames=max_frames,
+            with_color=with_color,
+            z_up=z_up,
+            source=json.dumps({"path": str(sequence.resolve()), "frames": frames}),
             remarks=remarks,
         )
     _show(result, as_json=as_json)
 
 
 def _resume(
-    sequence: Path,
+    sequence: Path | None,
     map_: Path,
     out: Path,
     *,
     frames: str | None,
     max_frames: int | None,
+    with_color: bool,
+    z_up: bool,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -168,14 +192,29 @@ def _resume(
     from slam_bof.store import MapStore
 
     with MapStore.open(map_) as store:
-        sessions = store.sessions()
+        sessions, source = store.sessions(), store.parameters().get("source", "")
     if not sessions:
         raise MapError(f"{map_}: found no session in it, expected an interrupted run")
     config = configs.parse_saved(sessions[-1].config, str(map_))
+    if sequence is None:
+        saved = json.loads(source or "{}")
+        sequence, frames = Path(saved.get("path", "")), frames or saved.get("frames")
+        if not source or not sequence.exists():
+            raise MapError(
+                f"{map_}: found no data of {sessions[-1].sequence} at {saved.get('path')}, "
+                "expected the sequence: slam-bof run SEQUENCE --resume FOLDER"
+            )
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
     with _observer(sequence, dataset, frames, quiet=quiet) as observer:
         result = resume_sequence(
-            dataset, map_, out, observer=observer, max_frames=max_frames, remarks=remarks
+            dataset,
+            map_,
+            out,
+            observer=observer,
+            max_frames=max_frames,
+            with_color=with_color,
+            z_up=z_up,
+            remarks=remarks,
         )
     _show(result, as_json=as_json)
 

@@ -2,10 +2,12 @@ from . import registry as registry
 from .arrays import (
     GrowingArray as GrowingArray,
 )
+from .failures import keep_going as keep_going
 from .native_libraries import (
     import_open3d as import_open3d,
     one_blas_thread as one_blas_thread,
     one_cpu as one_cpu,
+    one_native_thread as one_native_thread,
     silenced as silenced,
 )
 from .registry import (

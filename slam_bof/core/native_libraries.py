@@ -6,13 +6,15 @@ import ctypes
 import ctypes.util
 import functools
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import ModuleType
 
-from threadpoolctl import ThreadpoolController
+from threadpoolctl import LibController, ThreadpoolController
 
-__all__ = ["import_open3d", "one_blas_thread", "one_cpu", "silenced"]
+__all__ = ["import_open3d", "one_blas_thread", "one_cpu", "one_native_thread", "silenced"]
 
 
 @functools.cache
@@ -40,16 +42,76 @@ def one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread within a ``with`` block or a decorated function.
 
     The matrices are small: a second thread doubles the CPU time, mostly by waiting, and hardly
-    shortens the wall time.
+    shortens the wall time. The limit is one of the whole process: while a block runs in one
+    thread, BLAS has one thread in all. The last block to end restores what the first one found.
     """
-    with _blas().limit(limits=1, user_api="blas"):
+    with _limited_blas(_blas()):
         yield
+
+
+@contextmanager
+def one_native_thread() -> Iterator[None]:
+    """Limit BLAS and, in this thread, OpenMP to one thread, so that sums have one order.
+
+    Libraries that were loaded since the last call are included.
+    """
+    controller = ThreadpoolController()
+    # OpenMP has a limit for each thread, which can be restored in any order.
+    with (
+        _limited_blas(controller.select(user_api="blas")),
+        controller.limit(limits=1, user_api="openmp"),
+    ):
+        yield
+
+
+@dataclass(slots=True)
+class _Limit:
+    """A library whose threads are limited by a number of blocks, and what the first one found."""
+
+    library: LibController
+    n_threads: int
+    n_blocks: int = 0
+
+
+_limits: dict[str, _Limit] = {}
+_limits_lock = threading.Lock()
+
+
+@contextmanager
+def _limited_blas(controller: ThreadpoolController) -> Iterator[None]:
+    libraries = controller.lib_controllers
+    with _limits_lock:
+        for library in libraries:
+            if library.filepath not in _limits:
+                _limits[library.filepath] = _Limit(library, library.num_threads)
+                _set_threads(library, 1)
+            _limits[library.filepath].n_blocks += 1
+    try:
+        yield
+    finally:
+        with _limits_lock:
+            for library in libraries:
+                limit = _limits[library.filepath]
+                limit.n_blocks -= 1
+                if not limit.n_blocks:
+                    _set_threads(limit.library, limit.n_threads)
+                    del _limits[library.filepath]
+
+
+def _set_threads(library: LibController, n_threads: int) -> None:
+    """Set the number of threads of a library, from whichever thread.
+
+    threadpoolctl ignores all threads but the first one that has set a limit, since it does not
+    count limits that overlap. Then the first block to begin could never be ended by another.
+    """
+    set_threads = getattr(library, "_real_set_num_threads", library.set_num_threads)
+    set_threads(n_threads)
 
 
 @functools.cache
 def _blas() -> ThreadpoolController:
     """Return the controller of the loaded BLAS. It is cached because the search for it is slow."""
-    return ThreadpoolController()
+    return ThreadpoolController().select(user_api="blas")
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import resource
 import sys
 import time
 from collections import defaultdict
@@ -46,7 +45,14 @@ class Usage:
         return Usage(self.cpu_s - earlier.cpu_s, self.wall_s - earlier.wall_s)
 
 
-def peak_rss_mb() -> float:
-    """Return the peak resident memory of this process so far, in MB (1e6 bytes)."""
+def peak_rss_mb() -> float | None:
+    """Return the peak resident memory of this process so far, in MB (1e6 bytes).
+
+    None where the system does not count it, as Windows.
+    """
+    try:
+        import resource
+    except ModuleNotFoundError:
+        return None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak * (1 if sys.platform == "darwin" else 1024) / 1e6

@@ -1,5 +1,6 @@
 from . import download as download
 from .depth_images import (
+    CAMERA_FILE as CAMERA_FILE,
     is_image as is_image,
     read_depth_image as read_depth_image,
 )
@@ -24,6 +25,7 @@ from .labelled_images import (
     has_groups as has_groups,
     read_image_table as read_image_table,
 )
+from .plausibility import find_doubts as find_doubts
 from .realsense import (
     RealSense as RealSense,
 )
@@ -35,6 +37,7 @@ from .recording import (
 )
 from .sequence_slice import (
     SequenceSlice as SequenceSlice,
+    first_frame as first_frame,
 )
 from .synchroniser import (
     FramePoseSynchroniser as FramePoseSynchroniser,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import DepthFrame, Intrinsics
 
 __all__ = ["CAMERA_FILE", "DepthImages", "is_image", "read_depth_image"]
@@ -80,9 +81,8 @@ def read_depth_image(
     offset = 0.0
     if intrinsics is not None:
         fx, fy, cx, cy = intrinsics
-        if min(fx, fy) <= 0:
-            raise DatasetError(f"{path}: found focal lengths {fx:g} {fy:g}, expected positive ones")
-        camera, source = Intrinsics(width, height, fx, fy, cx, cy), "as given"
+        camera = checked_intrinsics(f"--intrinsics for {path}", width, height, fx, fy, cx, cy)
+        source = "as given"
     elif camera_file is not None:
         camera, scale, offset = _read_camera(camera_file, width, height)
         depth_scale, source = depth_scale or scale, f"from {camera_file}"
@@ -176,15 +176,14 @@ def _read(path: Path) -> NDArray[Any]:
 def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None, float]:
     """Return the camera, the units a metre if given, and the units to add before scaling."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        found = json.loads(file.read_text(encoding="utf-8-sig"))
         size = int(found["width"]), int(found["height"])
         fx, fy, cx, cy = (float(found[name]) for name in ("fx", "fy", "cx", "cy"))
         scale = found.get("depth_scale")
         scale = None if scale is None else float(scale)
         offset = float(found.get("depth_offset", 0.0))
-        sound = np.isfinite([fx, fy, cx, cy]).all() and min(fx, fy) > 0
-        if not sound or (scale is not None and not 0 < scale < np.inf):
-            raise ValueError("focal length or depth_scale is not positive")
+        if scale is not None and not 0 < scale < np.inf:
+            raise ValueError("depth_scale is not positive")
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         raise DatasetError(
             f"{file}: found {error!r}, expected JSON with width, height, fx, fy, cx, cy"
@@ -193,4 +192,4 @@ def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float
         raise DatasetError(
             f"{file}: found {size[0]}x{size[1]} pixels, expected {width}x{height} as the image"
         )
-    return Intrinsics(width, height, fx, fy, cx, cy), scale, offset
+    return checked_intrinsics(file, width, height, fx, fy, cx, cy), scale, offset

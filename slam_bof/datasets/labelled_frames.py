@@ -196,7 +196,7 @@ def read_split(scene: Path, name: str) -> list[Path]:
     """
     file = scene / name
     try:
-        words = file.read_text(encoding="utf-8", errors="replace").split()
+        words = file.read_text(encoding="utf-8-sig", errors="replace").split()
     except OSError:
         raise DatasetError(
             f"{file}: found no such file, expected lines such as sequence1"

@@ -8,6 +8,7 @@ import numpy as np
 
 from slam_bof.datasets.recording import CameraFrame
 from slam_bof.errors import DatasetError, PluginError
+from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import Intrinsics
 
 __all__ = ["RealSense"]
@@ -38,6 +39,9 @@ class RealSense:
         If there is no such camera, or it has no such stream.
     """
 
+    intrinsics: Intrinsics
+    """Known once the camera is on."""
+
     def __init__(
         self,
         *,
@@ -66,7 +70,6 @@ class RealSense:
         self._wanted = f"a camera with depth of {width}x{height} pixels at {fps} Hz"
         self.fps = float(fps)
         self.units_per_m = 1000.0
-        self.intrinsics = Intrinsics(width, height, 0.0, 0.0, 0.0, 0.0)
 
     def __enter__(self) -> Self:
         """Start the camera, and ask it for its units and intrinsics."""
@@ -78,8 +81,14 @@ class RealSense:
         except RuntimeError as error:
             raise self._failed(error) from error
         self.units_per_m = _units_per_m(scale_m)
-        self.intrinsics = Intrinsics(
-            camera.width, camera.height, camera.fx, camera.fy, camera.ppx, camera.ppy
+        self.intrinsics = checked_intrinsics(
+            "RealSense",
+            camera.width,
+            camera.height,
+            camera.fx,
+            camera.fy,
+            camera.ppx,
+            camera.ppy,
         )
         return self
 

@@ -9,10 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import ConfigError
-from slam_bof.ports import Dataset
+from slam_bof.ports import Dataset, ScaledDataset
 from slam_bof.types import DepthFrame, Trajectory
 
-__all__ = ["SequenceSlice"]
+__all__ = ["SequenceSlice", "first_frame"]
+
+
+def first_frame(dataset: Dataset) -> int:
+    """Return the number, in the whole sequence, of the first frame: not 0 for a slice."""
+    return dataset.frames.start if isinstance(dataset, SequenceSlice) else 0
 
 
 class SequenceSlice:
@@ -29,6 +34,8 @@ class SequenceSlice:
         self.name = dataset.name
         self.sequence = f"{dataset.sequence}[{self._range.start}:{self._range.stop}]"
         self.intrinsics = dataset.intrinsics
+        if isinstance(dataset, ScaledDataset):
+            self.units_per_m = dataset.units_per_m
 
     @classmethod
     def parse(cls, dataset: Dataset, text: str) -> Self:

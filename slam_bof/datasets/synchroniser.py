@@ -37,6 +37,12 @@ class SynchroniserParams(Params):
         description="A pose within this many seconds of a frame is used as it is, without "
         "interpolation.",
     )
+    max_jump_s: float = Field(
+        10.0,
+        gt=0,
+        description="A stamp that is more than this many seconds ahead of all others is ignored "
+        "as broken until another one near it confirms it.",
+    )
     max_wait_s: float = Field(
         1.0,
         gt=0,
@@ -136,9 +142,11 @@ class FramePoseSynchroniser:
         when nothing more will come, no frame waits.
         """
         ready = []
-        newest_s = self._stamps_s[-1] if self._stamps_s else -np.inf
+        newest_s = self._newest_s()
         while self._frames:
             frame = self._frames[0]
+            if not at_end and frame.stamp_s > newest_s + self.params.max_jump_s:
+                break  # the clock of a later frame, or a broken one
             T_odom_camera = self._pose_at(frame.stamp_s, at_end=at_end)
             if T_odom_camera is not None:
                 ready.append((frame, T_odom_camera))
@@ -150,6 +158,14 @@ class FramePoseSynchroniser:
             self._last_s = frame.stamp_s
         self._forget()
         return ready
+
+    def _newest_s(self) -> float:
+        """Return the newest stamp that the one before it confirms; else the oldest, if any."""
+        stamps_s = self._stamps_s
+        for k in range(len(stamps_s) - 1, 0, -1):
+            if stamps_s[k] - stamps_s[k - 1] <= self.params.max_jump_s:
+                return stamps_s[k]
+        return stamps_s[0] if stamps_s else -np.inf
 
     def _pose_at(self, stamp_s: float, *, at_end: bool) -> Pose | None:
         """Return the pose at a time: its own, or of those around it."""
@@ -163,7 +179,7 @@ class FramePoseSynchroniser:
             return None
         before_s, after_s = self._stamps_s[after - 1], self._stamps_s[after]
         # A pose of its own may still come, late.
-        settled = at_end or self._stamps_s[-1] > stamp_s + 0.5 * p.max_wait_s
+        settled = at_end or self._newest_s() > stamp_s + 0.5 * p.max_wait_s
         if after_s - before_s > p.max_gap_s or not settled:
             return None
         fraction = (stamp_s - before_s) / (after_s - before_s)

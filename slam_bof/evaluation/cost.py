@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
-from threadpoolctl import threadpool_limits
+
+from slam_bof.core import one_native_thread
 
 __all__ = ["Cost", "one_thread"]
 
@@ -46,7 +47,7 @@ def one_thread() -> Iterator[None]:
     n_threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        with threadpool_limits(1):
+        with one_native_thread():
             yield
     finally:
         cv2.setNumThreads(n_threads)

@@ -76,7 +76,7 @@ def evaluate_places(
     Raises
     ------
     DatasetError
-        If a sequence has no ground truth, or lacks some of its poses.
+        If a sequence has no ground truth, or no query has a true pose.
     """
     rows: list[dict[str, Any]] = []
     vocabularies: dict[str, WeightedVocabulary] = {}

@@ -7,6 +7,7 @@ margin. An answer is relevant by one of two truths: *pose*, the camera is back w
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -28,6 +29,8 @@ __all__ = [
     "overlap_shares",
     "relevant_answers",
 ]
+
+logger = logging.getLogger(__name__)
 
 
 class ProtocolParams(Params):
@@ -69,6 +72,8 @@ class ProtocolParams(Params):
 class PlaceQueries:
     """The K queries of a sequence, which are its possible answers as well.
 
+    They are those of every n-th frame whose true pose is known.
+
     ``indices`` (K,) are their frames, ``allowed`` (K, K) tells which answers (columns) may be given
     to which queries (rows), and ``relevant`` has a (K, K) array for each truth, ``pose`` and
     ``overlap``.
@@ -86,14 +91,23 @@ class PlaceQueries:
         Raises
         ------
         DatasetError
-            If the sequence has no ground truth, or lacks the pose of a query.
+            If the sequence has no ground truth, or no query has a true pose.
         """
         name, groundtruth = dataset.sequence, dataset.groundtruth()
-        indices = list(range(0, len(dataset), params.every))
+        chosen = np.arange(0, len(dataset), params.every)
         if groundtruth is None:
             raise DatasetError(f"{name}: found no ground truth, expected poses to judge by")
-        if not np.isfinite(groundtruth.poses[indices]).all():
-            raise DatasetError(f"{name}: found frames without pose, expected all to have")
+        known = np.isfinite(groundtruth.poses[chosen]).all(axis=(1, 2))
+        if not known.any():
+            raise DatasetError(f"{name}: found no frame with a true pose, expected some")
+        if not known.all():
+            logger.warning(
+                "%s: %d of %d frames have no true pose and are left out",
+                name,
+                np.count_nonzero(~known),
+                known.size,
+            )
+        indices: list[int] = chosen[known].tolist()
         frames = [dataset.frame(index) for index in indices]
         relevant = relevant_answers(frames, indices, groundtruth, params)
         return cls(dataset, indices, allowed_answers(indices, params), relevant)

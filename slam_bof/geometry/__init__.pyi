@@ -2,6 +2,7 @@ from . import se3 as se3, trajectory as trajectory
 from .camera import (
     PointParams as PointParams,
     back_project as back_project,
+    checked_intrinsics as checked_intrinsics,
     points_camera as points_camera,
     points_camera_f32 as points_camera_f32,
     project as project,
@@ -45,6 +46,7 @@ from .trajectory import (
     read_kitti as read_kitti,
     read_tum as read_tum,
     spread_correction as spread_correction,
+    warn_unknown as warn_unknown,
     write_kitti as write_kitti,
     write_tum as write_tum,
 )

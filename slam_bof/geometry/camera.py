@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from slam_bof.errors import DatasetError
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
 __all__ = [
     "PointParams",
     "back_project",
+    "checked_intrinsics",
     "points_camera",
     "points_camera_f32",
     "project",
@@ -35,6 +38,22 @@ class PointParams(Params):
                 f"{self.max_range_m}"
             )
         return self
+
+
+def checked_intrinsics(
+    where: Path | str, width: int, height: int, fx: float, fy: float, cx: float, cy: float
+) -> Intrinsics:
+    """Return the intrinsics that a file or an option gives; ``DatasetError`` names it.
+
+    Raises
+    ------
+    DatasetError
+        If ``Intrinsics`` refuses the numbers; the message begins with ``where``.
+    """
+    try:
+        return Intrinsics(width, height, fx, fy, cx, cy)
+    except ValueError as error:
+        raise DatasetError(f"{where}: {error}; are these intrinsics of another camera?") from None
 
 
 def back_project(depth_m: NDArray[Any], intrinsics: Intrinsics, stride: int = 1) -> Array:

@@ -7,7 +7,8 @@ stamps. Numbers are written in the shortest form that reads back as the same flo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import logging
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +23,12 @@ __all__ = [
     "read_kitti",
     "read_tum",
     "spread_correction",
+    "warn_unknown",
     "write_kitti",
     "write_tum",
 ]
+
+logger = logging.getLogger(__name__)
 
 TOLERANCE = 1e-2
 """Largest deviation of the norm of a quaternion from 1. Files may have few digits, so quaternions
@@ -42,29 +46,53 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 def read_tum(path: Path) -> Trajectory:
     """Read a trajectory in TUM format; empty lines and ``#`` comments are skipped.
 
+    Recorders write NaN, infinity or a zero quaternion where they know no pose. Such a pose is
+    unknown (NaN), and a line whose stamp is not after the one before is left out, both with a
+    warning.
+
     Raises
     ------
     DatasetError
-        If the file cannot be read, a line does not consist of 8 finite numbers with a unit
-        quaternion, or time stamps do not increase.
+        If the file cannot be read, a line does not consist of 8 numbers, or no line is a pose.
     """
     rows: list[Array] = []
+    problems: list[str] = []
     for where, row in _rows(path, 8, "stamp tx ty tz qx qy qz qw"):
-        if not np.isfinite(row).all():
-            raise DatasetError(f"{where}: found NaN or infinity, expected 8 finite numbers")
         norm = np.linalg.norm(row[4:])
-        if abs(norm - 1.0) > TOLERANCE:
-            raise DatasetError(f"{where}: found a quaternion of norm {norm:.6g}, expected 1")
-        if rows and row[0] <= rows[-1][0]:
-            raise DatasetError(
+        if not np.isfinite(row).all():
+            problems.append(f"{where}: found NaN or infinity, expected 8 finite numbers")
+        elif abs(norm - 1.0) > TOLERANCE:
+            problems.append(f"{where}: found a quaternion of norm {norm:.6g}, expected 1")
+        elif rows and row[0] <= rows[-1][0]:
+            problems.append(
                 f"{where}: found stamp {float(row[0])} s after {float(rows[-1][0])} s, "
                 "expected increasing stamps"
             )
-        rows.append(row)
+            continue
+        if np.isfinite(row[0]) and not (rows and row[0] <= rows[-1][0]):
+            rows.append(row)
     table = np.array(rows).reshape(-1, 8)
-    if len(table) == 0:
-        return Trajectory()
-    return Trajectory(table[:, 0], se3.from_quaternion(table[:, 4:], table[:, 1:4]))
+    norms = np.linalg.norm(table[:, 4:], axis=1)
+    known = np.isfinite(table).all(axis=1) & (np.abs(norms - 1.0) <= TOLERANCE)
+    if problems and not known.any():
+        raise DatasetError(problems[0])
+    warn_unknown(path, problems, len(rows))
+    poses = np.full((len(table), 4, 4), np.nan)
+    if known.any():
+        poses[known] = se3.from_quaternion(table[known, 4:], table[known, 1:4])
+    return Trajectory(table[:, 0], poses)
+
+
+def warn_unknown(path: Path, problems: Sequence[str], n_poses: int) -> None:
+    """Warn in one line, with the first problem, that poses of a file are unknown."""
+    if problems:
+        logger.warning(
+            "%s: %d of %d poses are unknown or left out; the first: %s",
+            path,
+            len(problems),
+            max(n_poses, len(problems)),
+            problems[0],
+        )
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
@@ -191,7 +219,8 @@ def _rows(path: Path, n_numbers: int, meaning: str) -> Iterator[tuple[str, Array
             continue
         where = f"{path}, line {number}"
         try:
-            row = np.array([float(field) for field in fields])
+            # Old C libraries write NaN and infinity as -1.#IND and 1.#INF.
+            row = np.array([np.nan if ".#" in field else float(field) for field in fields])
         except ValueError:
             raise DatasetError(
                 f"{where}: found {line.strip()[:60]!r}, expected {n_numbers} numbers: {meaning}"
@@ -205,7 +234,7 @@ def _rows(path: Path, n_numbers: int, meaning: str) -> Iterator[tuple[str, Array
 
 def _lines(path: Path) -> Iterable[str]:
     try:
-        return Path(path).read_text(encoding="utf-8").splitlines()
+        return Path(path).read_text(encoding="utf-8-sig").splitlines()
     except UnicodeDecodeError:
         raise DatasetError(f"{path}: found binary data, expected a text file of poses") from None
     except OSError as error:

@@ -1,10 +1,19 @@
 from .export import (
+    Format as Format,
     export_map as export_map,
     session_trajectory as session_trajectory,
 )
 from .map_localizer import (
     LocalizedFrame as LocalizedFrame,
     MapLocalizer as MapLocalizer,
+)
+from .map_session import (
+    MapSession as MapSession,
+    check_session as check_session,
+    finish_map as finish_map,
+    finish_session as finish_session,
+    restore_session as restore_session,
+    with_model_of as with_model_of,
 )
 from .merging import (
     merge_maps as merge_maps,

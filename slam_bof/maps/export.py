@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.core import registry
 from slam_bof.errors import MapError
@@ -28,7 +29,7 @@ from slam_bof.maps.occupancy_grid import (
 )
 from slam_bof.maps.point_cloud import write_keyframe_cloud
 from slam_bof.slam import FrameHistory, config as configs
-from slam_bof.store import MapStore, query_keyframes
+from slam_bof.store import MapStore, choose_component, query_keyframes
 from slam_bof.types import DepthFrame, Keyframe, Trajectory
 
 __all__ = ["FORMATS", "Format", "export_map", "session_trajectory"]
@@ -46,8 +47,10 @@ def export_map(
     format_: Format,
     *,
     session: int | None = None,
+    component: int | None = None,
     all_frames: bool = False,
     voxel_size_m: float = 0.02,
+    z_up: bool = False,
     occupancy: OccupancyGridParams | None = None,
 ) -> int:
     """Export a map to a file.
@@ -60,11 +63,17 @@ def export_map(
         occupancy grid for ROS's map_server (``occupancy``: YAML, with a PNG beside it).
     session
         Export only the keyframes of this session; a pose graph always has all.
+    component
+        Export this component of the pose graph; by default the largest of the session, with a
+        warning if there are others. Poses of different components are not comparable.
     all_frames
         With ``tum`` or ``kitti``: every frame of the session, not only its keyframes. ``session``
         may be left out if the map has only one.
     voxel_size_m
         With ``ply``: side of the voxels; one point is kept in each.
+    z_up
+        With ``ply``: in the plan frame of the occupancy grid (z up, 0 on the floor) instead of the
+        frame of the map.
     occupancy
         With ``occupancy``: parameters of the grid.
 
@@ -76,14 +85,15 @@ def export_map(
     Raises
     ------
     MapError
-        If the map is not finished, there is no such session, the time stamps of several sessions
-        do not increase, or depth images are needed and the map has none.
+        If the map is not finished, there is no such session or component, the time stamps of
+        several sessions do not increase, or depth images are needed and the map has none.
     """
     keyframes, poses = store.keyframes(), store.map_poses()
     n_sessions = len(store.sessions())
     if session is not None and session >= n_sessions:
         raise MapError(f"{store.path}: found no session {session}, expected 0 to {n_sessions - 1}")
-    own = [k.id for k in keyframes if session in (None, k.session)]
+    inside = choose_component(store, component, session=session)
+    own = np.flatnonzero(inside).tolist()
     if format_ == "csv":
         return _write_csv(store, path, set(own))
     if format_ in ("tum", "kitti"):
@@ -91,20 +101,28 @@ def export_map(
     if not np.isfinite(poses).all():
         raise _interrupted(store)
     if format_ == "g2o":
-        write_g2o(path, enumerate(poses), _graph_edges(store, keyframes))
-        return len(keyframes)
+        edges = (e for e in _graph_edges(store, keyframes) if inside[e.a])
+        write_g2o(path, ((k, poses[k]) for k in own), edges)
+        return len(own)
     views = _views(store, own)
     if format_ == "ply":
-        return write_keyframe_cloud(path, views, poses[own], voxel_size_m=voxel_size_m)
+        return write_keyframe_cloud(path, views, poses[own], voxel_size_m=voxel_size_m, z_up=z_up)
     write_occupancy_grid(path, build_occupancy_grid(views, poses[own], occupancy))
     return len(own)
 
 
 def session_trajectory(store: MapStore, session: int) -> Trajectory:
     """Return T_map_camera of every frame of a session, at the map's present poses."""
+    return _session_frames(store, session)[1]
+
+
+def _session_frames(store: MapStore, session: int) -> tuple[NDArray[np.int64], Trajectory]:
+    """Return the segments (N,) and the trajectory of every frame of a session."""
     own = [k for k in store.keyframes() if k.session == session]
     poses = store.map_poses()[[k.id for k in own]]
-    return FrameHistory(store.frames(session)).trajectory(own, poses)
+    history = FrameHistory(store.frames(session))
+    segments = np.array([frame.segment for frame in history.frames], dtype=np.int64)
+    return segments, history.trajectory(own, poses)
 
 
 def _write_poses(
@@ -121,7 +139,10 @@ def _write_poses(
         raise _interrupted(store)
     several = session is None and len(store.sessions()) > 1
     if all_frames and not several:
-        trajectory = session_trajectory(store, session or 0)
+        segments, trajectory = _session_frames(store, session or 0)
+        if len(ids) < sum(k.session == (session or 0) for k in keyframes):
+            inside = np.isin(segments, [keyframes[k].segment for k in ids])
+            trajectory = Trajectory(trajectory.stamps_s[inside], trajectory.poses[inside])
     else:
         stamps_s = np.array([keyframes[k].stamp_s for k in ids])
         trajectory = Trajectory(stamps_s, poses[ids].reshape(-1, 4, 4))
@@ -157,7 +178,7 @@ def _graph_edges(store: MapStore, keyframes: Sequence[Keyframe]) -> Iterator[Gra
 def _interrupted(store: MapStore) -> MapError:
     return MapError(
         f"{store.path}: found an interrupted run without optimised poses, expected a finished "
-        "one: resume it first"
+        f"one: resume it, or slam-bof map finish {store.path}"
     )
 
 
@@ -178,9 +199,9 @@ def _write_csv(store: MapStore, path: Path, ids: set[int]) -> int:
         table = csv.writer(file, lineterminator="\n")
         head = ("id", "frame_index", "stamp_s", "scene", "probability")
         pose = ("tx", "ty", "tz", "qx", "qy", "qz", "qw")
-        table.writerow((*head, *pose, "smoothed", "smoothed_probability", "region"))
+        table.writerow((*head, *pose, "smoothed", "smoothed_probability", "region", "component"))
         for r in records:
             head_values = (r.id, r.frame_index, r.stamp_s, r.scene, r.scene_probability)
-            tail_values = (r.smoothed, r.smoothed_probability, r.region)
+            tail_values = (r.smoothed, r.smoothed_probability, r.region, r.component)
             table.writerow((*head_values, *r.translation_m, *r.quaternion_xyzw, *tail_values))
     return len(records)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -13,7 +13,7 @@ from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import config as configs
-from slam_bof.store import MapStore, components_of
+from slam_bof.store import MapStore, choose_component
 from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
 
 __all__ = ["LocalizedFrame", "MapLocalizer"]
@@ -86,13 +86,12 @@ class MapLocalizer:
             if not np.isfinite(T_map_camera).all():
                 raise MapError(
                     f"{path}: found an interrupted run of {sessions[-1].sequence}, "
-                    "expected a finished one: resume it first"
+                    f"expected a finished one: resume it, or slam-bof map finish {path}"
                 )
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
             made_with = store.parameters().get("model")
             model = models.resolve(models.name_by_hash(config.model, made_with))
-            components = components_of(store)
-            largest = np.flatnonzero(components == np.bincount(components).argmax())
+            largest = np.flatnonzero(choose_component(store))
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,
@@ -120,11 +119,11 @@ class MapLocalizer:
         DatasetError
             If the frame's camera is not the map's.
         """
-        if frame.intrinsics != self.intrinsics:
+        if not frame.intrinsics.is_close(self.intrinsics):
             raise DatasetError(
                 f"found a frame of {frame.intrinsics}, expected the map's camera, {self.intrinsics}"
             )
-        frame = frame.with_sensor(self._sensor)
+        frame = replace(frame, intrinsics=self.intrinsics).with_sensor(self._sensor)
         localization = self._localizer.localize(frame)
         scene = None if self._labeller is None else self._labeller.label(frame)
         if localization.keyframe_id is None:

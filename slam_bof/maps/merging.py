@@ -147,7 +147,10 @@ def _check_finished(store: MapStore, path: Path) -> None:
     if not sessions:
         raise MapError(f"{path}: found an empty map, expected one with keyframes")
     if not all(session.is_finished for session in sessions):
-        raise MapError(f"{path}: found an interrupted run, expected a finished one: resume it")
+        raise MapError(
+            f"{path}: found an interrupted run, expected a finished one: resume it, or "
+            f"slam-bof map finish {path}"
+        )
 
 
 def _check_compatible(target: MapStore, other: MapStore, first: Path) -> None:

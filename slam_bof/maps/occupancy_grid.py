@@ -100,7 +100,7 @@ def build_occupancy_grid(
     frames = list(frames)
     if not any(make_view(frame).normals_camera.any() for frame in frames):
         raise MapError(f"found no surface in {len(frames)} keyframes, expected some to draw")
-    T_plan_map, floor_seen = _level(frames, T_map_camera, np.asarray(gravity_map, np.float64))
+    T_plan_map, floor_seen = plan_frame(frames, T_map_camera, gravity_map=gravity_map)
     observations = [
         _KeyframeObservation(frame, T_plan_map @ T, p)
         for frame, T in zip(frames, T_map_camera, strict=True)
@@ -139,16 +139,13 @@ def write_occupancy_grid(path: Path, grid: OccupancyGrid) -> None:
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
         "mode": "trinary",
+        # x ahead of the first camera, y left, z up; map_server ignores it.
+        "T_plan_map": grid.T_plan_map.tolist(),
     }
     _, png = cv2.imencode(".png", grid.cells)
     image.write_bytes(png.tobytes())
-    rows = "\n".join(f"#   {' '.join(map(repr, row))}" for row in grid.T_plan_map.tolist())
     text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
-    path.write_text(
-        f"{text}# x ahead of the first camera, y left, z up; T_plan_map of the map's poses:\n"
-        f"{rows}\n",
-        encoding="utf-8",
-    )
+    path.write_text(text, encoding="utf-8")
 
 
 class _KeyframeObservation:
@@ -198,8 +195,17 @@ class _KeyframeObservation:
         return np.floor((points - low) / self._params.resolution_m).astype(np.intp)
 
 
-def _level(frames: list[DepthFrame], T_map_camera: Array, down: Array) -> tuple[Pose, bool]:
-    """Return ``T_plan_map`` (4, 4) with z = 0 on the floor, and whether the floor was seen."""
+def plan_frame(
+    frames: Iterable[DepthFrame],
+    T_map_camera: Array,
+    *,
+    gravity_map: ArrayLike = (0.0, 1.0, 0.0),
+) -> tuple[Pose, bool]:
+    """Return ``T_plan_map`` (4, 4) with z = 0 on the floor, and whether the floor was seen.
+
+    Parameters are those of ``build_occupancy_grid``; frames must show some surface.
+    """
+    frames, down = list(frames), np.asarray(gravity_map, np.float64)
     normals_map, points_map = [], []
     for frame, T in zip(frames, T_map_camera, strict=True):
         view = make_view(frame)

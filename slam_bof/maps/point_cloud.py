@@ -10,6 +10,7 @@ import numpy as np
 
 from slam_bof.core import import_open3d
 from slam_bof.geometry import back_project, down_of_map, se3, view_points
+from slam_bof.maps.occupancy_grid import plan_frame
 from slam_bof.ports import Dataset
 from slam_bof.types import Array, DepthFrame
 
@@ -25,6 +26,8 @@ def write_sequence_cloud(
     frame_indices: Sequence[int],
     T_map_camera: Array,
     *,
+    with_color: bool = False,
+    z_up: bool = False,
     voxel_size_m: float = 0.02,
 ) -> int:
     """Write the point cloud of frames of a data set and return its number of points.
@@ -32,13 +35,19 @@ def write_sequence_cloud(
     Parameters
     ----------
     path
-        The .ply file to write (binary, with colour where the data set has it). It has no points
-        if there are no frames or all depth is beyond 4 m.
+        The .ply file to write (binary). It has no points if there are no frames or all depth is
+        beyond 4 m.
     dataset, frame_indices, T_map_camera
         The frames to fuse, by index, and their (K, 4, 4) poses in the map.
+    with_color
+        Give points the data set's colour, which may show people.
+    z_up
+        Write the points in the plan frame (z up, 0 on the floor) instead of the frame of the map.
     voxel_size_m
         Side of the voxels; one point is kept in each.
     """
+    if z_up and len(frame_indices):
+        T_map_camera = plan_frame(map(dataset.frame, frame_indices), T_map_camera)[0] @ T_map_camera
 
     def coloured_clouds() -> Iterator[tuple[Array, Array | None]]:
         for index, T in zip(frame_indices, T_map_camera, strict=True):
@@ -46,7 +55,7 @@ def write_sequence_cloud(
             depth_m = frame.depth_m(STRIDE)
             depth_m[depth_m > MAX_RANGE_M] = 0.0
             points_camera = back_project(depth_m, frame.intrinsics, STRIDE)
-            color = dataset.color(index)
+            color = dataset.color(index) if with_color else None
             rgb = None if color is None else color[::STRIDE, ::STRIDE][depth_m > 0.0] / 255.0
             yield se3.transform(T, points_camera), rgb
 
@@ -58,6 +67,7 @@ def write_keyframe_cloud(
     frames: Iterable[DepthFrame],
     T_map_camera: Array,
     *,
+    z_up: bool = False,
     voxel_size_m: float = 0.02,
 ) -> int:
     """Write the point cloud of a saved map's keyframes and return its number of points.
@@ -66,17 +76,19 @@ def write_keyframe_cloud(
 
     Parameters
     ----------
-    path, voxel_size_m
+    path, z_up, voxel_size_m
         As in ``write_sequence_cloud``.
     frames, T_map_camera
         The subsampled depth frames of K keyframes, and their poses (K, 4, 4).
     """
     frames, clouds = list(frames), []
+    if z_up and frames:
+        T_map_camera = plan_frame(frames, T_map_camera)[0] @ T_map_camera
     for frame, T in zip(frames, T_map_camera, strict=True):
         points = view_points(frame)
         points = points[points[:, 2] <= MAX_RANGE_M]
         clouds.append(se3.transform(T, points.astype(np.float64)))
-    down = down_of_map(frames, T_map_camera)
+    down = np.array([0.0, 0.0, -1.0]) if z_up else down_of_map(frames, T_map_camera)
     heights_m = -np.concatenate([cloud @ down for cloud in clouds]) if clouds else np.zeros(0)
     low, high = np.percentile(heights_m, [1.0, 99.0]) if len(heights_m) else (0.0, 1.0)
     share = np.clip((heights_m - low) / max(high - low, 1e-9), 0.0, 1.0)

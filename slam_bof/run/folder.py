@@ -26,9 +26,14 @@ __all__ = [
     "read_run",
 ]
 
+logger = logging.getLogger(__name__)
+
 
 def make_folder(out: Path) -> Path:
-    """Create ``out``/<time stamp> and let the link ``out``/latest point to it."""
+    """Create ``out``/<time stamp> and let the link ``out``/latest point to it.
+
+    File systems without symbolic links (exFAT, many network shares) are without ``latest``.
+    """
     name = datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     with as_run_errors(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -37,10 +42,14 @@ def make_folder(out: Path) -> Path:
             if not folder.exists():
                 break
         folder.mkdir()
-        link = out / ".latest"
+    link = out / ".latest"
+    try:
         link.unlink(missing_ok=True)
         link.symlink_to(folder.name, target_is_directory=True)
         link.replace(out / "latest")
+    except OSError as error:
+        link.unlink(missing_ok=True)
+        logger.warning("%s: cannot be linked to %s: %s", out / "latest", folder.name, error)
     return folder
 
 
@@ -57,25 +66,48 @@ def as_run_errors(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def logging_to(path: Path) -> Iterator[None]:
-    """Write the package's log to a file while the block runs."""
+    """Write the log to a file while the block runs: of slam_bof, warnings of all others.
+
+    The last line says how the run ended, if by an error.
+    """
     handler = logging.FileHandler(path, encoding="utf-8")
     handler.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s"))
-    package = logging.getLogger("slam_bof")
-    level = package.level
-    package.addHandler(handler)
-    package.setLevel(logging.INFO)
+    handler.addFilter(
+        lambda record: record.levelno >= logging.WARNING or record.name.startswith("slam_bof")
+    )
+    root = logging.getLogger()
+    packages = [logging.getLogger(name) for name in ("slam_bof", "slam_bof_plugins")]
+    levels = [package.level for package in packages]
+    root.addHandler(handler)
+    for package in packages:
+        package.setLevel(logging.INFO)
     try:
         yield
+    except KeyboardInterrupt as interruption:
+        _write(handler, logging.WARNING, f"interrupted: {interruption}")
+        raise
+    except BaseException as error:
+        _write(handler, logging.ERROR, f"failed: {type(error).__name__}: {error}")
+        raise
     finally:
-        package.removeHandler(handler)
-        package.setLevel(level)
+        root.removeHandler(handler)
+        for package, level in zip(packages, levels, strict=True):
+            package.setLevel(level)
         handler.close()
 
 
+def _write(handler: logging.Handler, level: int, message: str) -> None:
+    """Write a line to one log alone: the user is told of the error itself."""
+    handler.handle(logging.LogRecord(__name__, level, __file__, 0, message, None, None))
+
+
 def link_map(folder: Path, map_file: Path) -> None:
-    """Create the link ``map.db`` in a run's folder to a map elsewhere."""
+    """Create the link ``map.db`` in a run's folder to a map elsewhere, if that is possible."""
     target = os.path.relpath(map_file.resolve(), folder.resolve())
-    (folder / "map.db").symlink_to(target)
+    try:
+        (folder / "map.db").symlink_to(target)
+    except OSError as error:
+        logger.warning("%s: cannot be linked to %s: %s", folder / "map.db", target, error)
 
 
 def read_run(folder: Path) -> ReportData:

@@ -15,8 +15,9 @@ logger = logging.getLogger(__name__)
 class LoggingObserver:
     """Logs warnings and where odometry is lost and recovered, and informs another observer."""
 
-    def __init__(self, observer: Observer) -> None:
+    def __init__(self, observer: Observer, first: int) -> None:
         self.n_frames = 0
+        self._first = first
         self._observer = observer
         self._is_lost = False
 
@@ -30,7 +31,9 @@ class LoggingObserver:
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(
-                "frame %d: odometry %s", frame_index, "lost" if step.is_lost else "recovered"
+                "frame %d: odometry %s",
+                self._first + frame_index,
+                "lost" if step.is_lost else "recovered",
             )
         self._observer.on_step(frame_index, step)
 

@@ -4,38 +4,72 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+import logging
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 
+import numpy as np
+
+from slam_bof.core import keep_going
 from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
 from slam_bof.run.metrics import Metrics
 from slam_bof.run.record import RunRecord
+from slam_bof.store import largest_component
 from slam_bof.types import Candidate, Keyframe, Trajectory
 from slam_bof.visualization import ReportData, write_report
 
 __all__ = ["write_outputs", "write_trajectory"]
 
+logger = logging.getLogger(__name__)
 
-def write_outputs(folder: Path, record: RunRecord, metrics: Metrics) -> None:
-    """Write everything but the two estimated trajectories and ``map.db``, which come first."""
+
+def write_outputs(
+    folder: Path, record: RunRecord, metrics: Metrics, warn: Callable[[str], None]
+) -> None:
+    """Write everything but the two estimated trajectories and ``map.db``, which come first.
+
+    ``warn`` is called with a message for a file that cannot be made.
+    """
     result = record.result
     frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
-    record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
     text = json.dumps(metrics, indent=2) + "\n"
     (folder / "metrics.json").write_text(text, encoding="utf-8")
     if record.groundtruth is not None:
         write_trajectory(folder, "groundtruth", record.groundtruth)
     _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes)
-    write_sequence_cloud(folder / "map.ply", record.dataset, frame_indices, result.T_map_camera)
-    write_report(folder / "report.html", _report_data(record, metrics))
+    with keep_going("pose_graph.g2o", warn):
+        record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
+    with keep_going("map.ply", warn):
+        components = record.closer.map.components[record.closer.map.first_keyframe :]
+        inside = components == largest_component(components)
+        shown = [index for index, is_shown in zip(frame_indices, inside, strict=True) if is_shown]
+        write_sequence_cloud(
+            folder / "map.ply",
+            record.dataset,
+            shown,
+            result.T_map_camera[inside],
+            with_color=record.with_color,
+            z_up=record.z_up,
+        )
+    with keep_going("report.html", warn):
+        write_report(folder / "report.html", _report_data(record, metrics))
 
 
 def write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
-    """Write a trajectory in the formats of TUM and KITTI."""
+    """Write a trajectory in the formats of TUM and, if all poses are known, of KITTI.
+
+    In KITTI's format the number of a line is that of its frame, so that an unknown pose can
+    neither be left out nor written: tools such as evo do not read NaN.
+    """
     write_tum(folder / f"trajectory_{name}_tum.txt", trajectory)
-    write_kitti(folder / f"trajectory_{name}_kitti.txt", trajectory)
+    unknown = np.isnan(trajectory.poses).any(axis=(1, 2))
+    kitti = folder / f"trajectory_{name}_kitti.txt"
+    if unknown.any():
+        logger.info("%s: not written, %d poses are unknown", kitti.name, unknown.sum())
+    else:
+        write_kitti(kitti, trajectory)
 
 
 def _write_audit_trail(

@@ -31,6 +31,10 @@ class RunRecord:
     groundtruth, true_scenes
         The true pose of each frame of the sequence, and the true label of each keyframe; None
         where the data set has none.
+    with_color
+        Whether ``map.ply`` may have the colour of the data set.
+    z_up
+        Whether ``map.ply`` is in a frame with z up instead of that of the map.
     usage, clock
         Time spent in this process.
     """
@@ -44,5 +48,7 @@ class RunRecord:
     n_rooms: int
     groundtruth: Trajectory | None
     true_scenes: Sequence[str] | None
+    with_color: bool
+    z_up: bool
     usage: Usage
     clock: StageClock

@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry
+from slam_bof.datasets import find_doubts, first_frame
 from slam_bof.errors import MapError
-from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
+from slam_bof.maps import check_session, finish_session, restore_session, with_model_of
+from slam_bof.ports import Dataset, NullObserver, Observer, Odometry, ScaledDataset
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.logging_observer import LoggingObserver
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
-from slam_bof.scenes import label_map, model as models
 from slam_bof.slam import (
     Config,
     LoopCloser,
@@ -26,11 +27,10 @@ from slam_bof.slam import (
     config as configs,
     of_session,
 )
-from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
+from slam_bof.store import MapStore, MapWriter, Session
 
 __all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
 
-LEFT_OUT_REASON = "inconsistent with the other loops in the final optimisation"
 MAX_LOST_RATIO = 0.1
 """Share of lost frames above which a run warns."""
 
@@ -62,6 +62,9 @@ def run_sequence(
     map_file: Path | None = None,
     observer: Observer | None = None,
     max_frames: int | None = None,
+    with_color: bool = False,
+    z_up: bool = False,
+    source: str = "",
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Run the mini-SLAM over a sequence and write everything into a new folder under ``out``.
@@ -79,6 +82,12 @@ def run_sequence(
         Is informed of every step and warning.
     max_frames
         Stop after this many frames.
+    with_color
+        Give the points of ``map.ply`` the data set's colour, which may show people.
+    z_up
+        Write ``map.ply`` in a frame with z up and 0 on the floor instead of that of the map.
+    source
+        Where the sequence is, to be kept in the map for ``run --resume``.
     remarks
         First lines of ``run.log``.
 
@@ -92,14 +101,14 @@ def run_sequence(
     config = configs.complete(config)
     if map_file is not None and map_file.exists():
         with MapStore.open(map_file) as earlier:
-            config = _with_model_of(earlier, config)
-    job = _Job.prepare(dataset, config, observer, max_frames)
+            config = with_model_of(earlier, config)
+    job = _Job.prepare(dataset, config, observer, max_frames, with_color=with_color, z_up=z_up)
     with ExitStack() as stack:
         store = None
         if map_file is not None:
             # Opened first: a damaged map, or one in use, must leave no folder behind.
             store = stack.enter_context(_open_map(map_file))
-            _check_ready(store, dataset, job.closer.map.model_hash)
+            _check_ready(store, dataset, job.closer)
         folder = make_folder(out)
         stack.enter_context(as_run_errors(folder))
         stack.enter_context(logging_to(folder / "run.log"))
@@ -118,6 +127,7 @@ def run_sequence(
             version=importlib.metadata.version("slam-bof"),
             max_frames=max_frames,
         )
+        store.set_parameters({"source": source, "units_per_m": _units_per_m(dataset)})
         return _run(job, folder, store, session, is_new=True)
 
 
@@ -128,6 +138,8 @@ def resume_sequence(
     *,
     observer: Observer | None = None,
     max_frames: int | None = None,
+    with_color: bool = False,
+    z_up: bool = False,
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Resume an interrupted run after its last saved keyframe.
@@ -155,9 +167,10 @@ def resume_sequence(
                 f"{' '.join(found)}"
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
-        config = _with_model_of(store, config)
-        job = _Job.prepare(dataset, config, observer, max_frames or session.max_frames)
-        _check_ready(store, dataset, job.closer.map.model_hash, is_new=False)
+        config = with_model_of(store, config)
+        n_frames = max_frames or session.max_frames
+        job = _Job.prepare(dataset, config, observer, n_frames, with_color=with_color, z_up=z_up)
+        _check_ready(store, dataset, job.closer, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
         with as_run_errors(folder), logging_to(folder / "run.log"):
@@ -176,20 +189,36 @@ class _Job:
     config: Config
     observer: LoggingObserver
     max_frames: int | None
+    with_color: bool
+    z_up: bool
     clock: StageClock
     odometry: Odometry
     closer: LoopCloser
 
     @classmethod
     def prepare(
-        cls, dataset: Dataset, config: Config, observer: Observer | None, max_frames: int | None
+        cls,
+        dataset: Dataset,
+        config: Config,
+        observer: Observer | None,
+        max_frames: int | None,
+        *,
+        with_color: bool,
+        z_up: bool,
     ) -> _Job:
         """Build the odometry and the plug-in that the configuration names."""
         clock = StageClock()
-        odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
-        closer = LoopCloser.from_config(config, clock=clock)
-        logging_observer = LoggingObserver(observer or NullObserver())
-        return cls(dataset, config, logging_observer, max_frames, clock, odometry, closer)
+        return cls(
+            dataset=dataset,
+            config=config,
+            observer=LoggingObserver(observer or NullObserver(), first_frame(dataset)),
+            max_frames=max_frames,
+            with_color=with_color,
+            z_up=z_up,
+            clock=clock,
+            odometry=registry.build("odometry", config.odometry.name, config.odometry.options),
+            closer=LoopCloser.from_config(config, clock=clock),
+        )
 
 
 def _open_map(map_file: Path) -> MapStore:
@@ -203,8 +232,11 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     """Run a session to its end, from its start or its last saved keyframe, and write its files."""
     closer = job.closer
     started = Usage.now()
+    doubts = find_doubts(job.dataset)
+    for doubt in doubts:
+        job.observer.on_warning(doubt)
     with MapWriter(store) as writer:
-        _restore(closer, store, session, is_new=is_new)
+        restore_session(closer, store, session, is_new=is_new)
         closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
         try:
@@ -215,13 +247,20 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     write_trajectory(folder, "optimized", result.optimized)
     used = Usage.now() - started
     if closer.n_frames_lost > MAX_LOST_RATIO * len(result.indices):
+        reason = "too little depth, or too little overlap with earlier frames"
+        if doubts:
+            reason = "probably for the reason that the warning at the start of the run gives"
         job.observer.on_warning(
-            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: too little depth, "
-            "or too little overlap with earlier frames"
+            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
         )
     record = _finish(job, store, session, result, used)
+    if closer.map.n_components > 1:
+        job.observer.on_warning(
+            f"the map has {closer.map.n_components} components that no loop has joined: poses of "
+            "different components are not comparable, and map.ply shows the largest"
+        )
     metrics = compute_metrics(record)
-    write_outputs(folder, record, metrics)
+    write_outputs(folder, record, metrics, job.observer.on_warning)
     logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])
     return RunResult(folder, metrics)
 
@@ -231,25 +270,8 @@ def _finish(
 ) -> RunRecord:
     """Label the whole map, finish the session in it, and return the record of the run."""
     dataset, config, closer = job.dataset, job.config, job.closer
-    T_map_camera, first = closer.map.backend.poses(), closer.map.first_keyframe
-    smoothed, rooms = label_map(
-        closer.map.keyframes,
-        T_map_camera,
-        config.labels,
-        config.rooms,
-        components=closer.map.components,
-    )
-    store.finish(
-        session.id,
-        SessionResult(
-            frames=closer.frames_since_keyframe,
-            T_map_camera=T_map_camera,
-            smoothed=smoothed,
-            regions=rooms,
-            left_out=closer.map.loops_left_out,
-            reason=LEFT_OUT_REASON,
-        ),
-    )
+    first = closer.map.first_keyframe
+    smoothed, rooms = finish_session(closer, store, session, config, warn=job.observer.on_warning)
     scenes = dataset.scenes()
     frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
     return RunRecord(
@@ -262,46 +284,29 @@ def _finish(
         n_rooms=len(rooms),
         groundtruth=dataset.groundtruth(),
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
+        with_color=job.with_color,
+        z_up=job.z_up,
         usage=used,
         clock=job.clock,
     )
 
 
-def _restore(closer: LoopCloser, store: MapStore, session: Session, *, is_new: bool) -> None:
-    """Restore the closer from the map; begin the session in both if it is new."""
-    closer.restore(replay_keyframes(store, reopened_session=None if is_new else session.id))
-    while closer.map.session < session.id:
-        closer.begin_session()
-    if is_new:
-        store.set_parameters({"model": closer.map.model_hash})
-        store.begin_session(session)
-
-
-def _with_model_of(store: MapStore, config: Config) -> Config:
-    """Return the configuration with the model that the map was made with, if it is included."""
-    name = models.name_by_hash(config.model, store.parameters().get("model"))
-    return config.model_copy(update={"model": name})
-
-
-def _check_ready(store: MapStore, dataset: Dataset, model: str, *, is_new: bool = True) -> None:
+def _check_ready(
+    store: MapStore, dataset: Dataset, closer: LoopCloser, *, is_new: bool = True
+) -> None:
     """Check that a session of the data set can be added to the map, or its last one resumed."""
-    sessions, found = store.sessions(), store.parameters().get("model", model)
+    sessions = store.sessions()
     if is_new and sessions and not sessions[-1].is_finished:
         raise MapError(
-            f"{store.path}: found an interrupted run of {sessions[-1].sequence}, "
-            "expected a finished one: resume it first"
+            f"{store.path}: found an interrupted run of {sessions[-1].sequence}, expected a "
+            f"finished one: resume it, or slam-bof map finish {store.path}"
         )
-    if found != model:
-        raise MapError(
-            f"{store.path}: found a map made with model {found[:12]}, expected {model[:12]}: "
-            "all sessions of a map use one model"
-        )
-    camera = store.intrinsics()
-    if camera not in (None, dataset.intrinsics):
-        raise MapError(
-            f"{store.path}: found {camera}, expected {dataset.intrinsics}, the camera of "
-            f"{dataset.sequence}: all sessions of a map use one camera"
-        )
+    check_session(store, dataset.intrinsics, dataset.sequence, closer)
+
+
+def _units_per_m(dataset: Dataset) -> float | None:
+    """Return the unit of depth of the sequence's images, where it is known."""
+    return float(dataset.units_per_m) if isinstance(dataset, ScaledDataset) else None
 
 
 def _is_folder_of(folder: Path, session: Session) -> bool:

@@ -47,6 +47,7 @@ from .room_segmentation import (
     RoomSegmentationParams as RoomSegmentationParams,
 )
 from .single_image import (
+    label_frame as label_frame,
     label_image as label_image,
 )
 from .training import (

@@ -19,8 +19,8 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.neural_network import MLPClassifier
 from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import check_is_fitted, validate_data
-from threadpoolctl import threadpool_limits
 
+from slam_bof.core import one_native_thread
 from slam_bof.scenes.classifiers import check_class_counts
 from slam_bof.scenes.folds import make_folds
 from slam_bof.types import Array
@@ -126,7 +126,7 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         weight = None if weights is None else np.asarray(weights, np.float64)
         counted = np.ones(len(X), bool) if calibrate_on is None else calibrate_on
         # On one thread sums have one order, so the same seed gives the same bytes.
-        with threadpool_limits(1):
+        with one_native_thread():
             held_out = np.zeros((len(X), len(self.classes_)), np.float32)
             for train, test in make_folds(index, groups, self.n_folds, self.seed):
                 self._fit_networks(

@@ -10,7 +10,7 @@ from slam_bof.datasets import read_depth_image
 from slam_bof.errors import ModelError
 from slam_bof.scenes.hmm_filter import most_probable_scene
 from slam_bof.scenes.model import Model
-from slam_bof.types import Intrinsics
+from slam_bof.types import DepthFrame, Intrinsics
 
 __all__ = ["ImageLabel", "label_image"]
 
@@ -57,15 +57,25 @@ def label_image(
     ModelError
         If the model was trained without labels.
     """
+    frame, source = read_depth_image(path, intrinsics=intrinsics, depth_scale=depth_scale)
+    return label_frame(frame, model, name=str(path), source=source, min_probability=min_probability)
+
+
+def label_frame(
+    frame: DepthFrame, model: Model, *, name: str, source: str, min_probability: float = 0.0
+) -> ImageLabel:
+    """Label a depth frame; ``name`` and ``source`` say where it and its intrinsics are from.
+
+    Other parameters are those of ``label_image``.
+    """
     labeller = model.labeller()
     if labeller is None:
         raise ModelError(f"the model ({model.trained_on}): found no labels, expected some")
-    frame, source = read_depth_image(path, intrinsics=intrinsics, depth_scale=depth_scale)
     scene = labeller.label(frame)
     best = most_probable_scene(scene.probabilities, scene.classes, min_probability)
     pairs = zip(scene.classes, scene.probabilities.tolist(), strict=True)
     return ImageLabel(
-        image=str(path),
+        image=name,
         label=best.label,
         probability=best.probability,
         probabilities=dict(sorted(pairs, key=lambda pair: -pair[1])),

@@ -156,6 +156,9 @@ class KeyframeMap:
             scene = smoothed = None
             if self._labeller is not None:
                 scene = self._labeller.label(frame, gravity_camera=gravity_camera, bag=bag)
+                if not np.isfinite(scene.probabilities).all():
+                    scene = None  # a view without surfaces that can be measured has no label
+            if scene is not None:
                 smoothed = self._scene_filter.update(
                     scene,
                     frame.stamp_s,

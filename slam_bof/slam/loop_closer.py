@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from slam_bof.core import StageClock, one_blas_thread
+from slam_bof.errors import FrameError
 from slam_bof.geometry import (
     CloudCamera,
     quantize_depth,
@@ -18,7 +19,7 @@ from slam_bof.geometry import (
     subsample,
 )
 from slam_bof.loops import Verified
-from slam_bof.slam.config import Config, load, preset
+from slam_bof.slam.config import Config, preset, resolve
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.tracking import KeyframeSelector, Track, Tracker
@@ -36,6 +37,9 @@ from slam_bof.types import (
 )
 
 __all__ = ["Journal", "LoopCloser"]
+
+MAX_JUMP_S = 86_400.0
+"""A stamp farther ahead of the last than this is broken, unless the next frame confirms it."""
 
 Journal = Callable[[KeyframeRecord], None]
 """Called with the record of each new keyframe to save it, such as ``MapWriter.write``."""
@@ -67,6 +71,7 @@ class LoopCloser:
         self._config = config
         self._map = KeyframeMap(config, self._clock)
         self._camera: Intrinsics | None = None
+        self._refused_stamp_s = -np.inf
         self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
     @classmethod
@@ -82,11 +87,11 @@ class LoopCloser:
         journal: Journal | None = None,
         clock: StageClock | None = None,
     ) -> Self:
-        """Build a loop closer from a configuration or a YAML file.
+        """Build a loop closer from a configuration, the name of a preset or of a YAML file.
 
         ``journal`` is called with the record of each new keyframe.
         """
-        config = config if isinstance(config, Config) else load(Path(config))
+        config = config if isinstance(config, Config) else resolve(str(config))
         return cls(config, journal=journal, clock=clock)
 
     @one_blas_thread()
@@ -95,18 +100,22 @@ class LoopCloser:
     ) -> Step:
         """Process a frame and its odometry pose (4, 4); return the correction by the map.
 
+        Intrinsics that vary a little from frame to frame, as with autofocus, count as those of the
+        first frame; see ``Intrinsics.is_close``.
+
         ``T_view_camera`` (4, 4) is the pose of the sensor in the camera of the frame, if the frame
         was projected from a point cloud; see ``FramePose``.
 
         Raises
         ------
-        ValueError
-            If the time stamp does not increase, the camera differs from that of the frames before,
-            or the pose is not a finite rigid transform. Such a frame is ignored, and the next call
-            may continue.
+        FrameError
+            If the time stamp does not increase, or is more than a day ahead of the frame before;
+            if the camera differs from that of the frames before; or if the pose is not a finite
+            rigid transform. It is a ``ValueError`` too. Such a frame is ignored, and the next call
+            may continue. A jump of the clock is accepted with the next frame that confirms it.
         """
         frame_index = len(self.history)
-        T_odom_camera = self._check(frame, T_odom_camera)
+        frame, T_odom_camera = self._check(frame, T_odom_camera)
         frame = quantize_depth(frame.with_sensor(self._config.sensor))
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera)
@@ -156,8 +165,10 @@ class LoopCloser:
 
         Raises
         ------
+        FrameError
+            In the cases of ``process``.
         ValueError
-            In the cases of ``process``, or if the points are not (N, 3).
+            If the points are not (N, 3).
         """
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         has_camera = self._camera is not None
@@ -245,22 +256,36 @@ class LoopCloser:
         own = self._map.of_session
         return self.history.frames[own[-1].frame_index + 1 if own else 0 :]
 
-    def _check(self, frame: DepthFrame, T_odom_camera: Pose) -> Pose:
-        """Check the input of ``process``; return the pose as float64."""
-        last_s = self.history.last_stamp_s
-        if not last_s < frame.stamp_s < np.inf:
-            raise ValueError(f"time stamps must increase, got {frame.stamp_s} s after {last_s} s")
+    def _check(self, frame: DepthFrame, T_odom_camera: Pose) -> tuple[DepthFrame, Pose]:
+        """Check the input of ``process``; return it by the first frame's camera, and as float64."""
+        self._check_stamp(frame.stamp_s)
         camera = self._camera or frame.intrinsics
+        if not frame.intrinsics.is_close(camera):
+            raise FrameError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
         if frame.intrinsics != camera:
-            raise ValueError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
+            frame = replace(frame, intrinsics=camera)
         T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
         try:
+            if T_odom_camera.shape == (3, 4):
+                raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
             se3.check_rigid(T_odom_camera)
         except ValueError as error:
             place = f"T_odom_camera of frame {len(self.history)}, at {frame.stamp_s} s"
-            raise ValueError(f"{place}: {error}") from None
+            raise FrameError(f"{place}: {error}") from None
         self._camera = camera
-        return T_odom_camera
+        return frame, T_odom_camera
+
+    def _check_stamp(self, stamp_s: float) -> None:
+        """Refuse a stamp that does not increase, or a jump that no frame before confirms."""
+        last_s, refused_s = self.history.last_stamp_s, self._refused_stamp_s
+        if not last_s < stamp_s < np.inf:
+            raise FrameError(f"time stamps must increase, got {stamp_s} s after {last_s} s")
+        is_confirmed = 0.0 < stamp_s - refused_s <= MAX_JUMP_S
+        if last_s > -np.inf and stamp_s - last_s > MAX_JUMP_S and not is_confirmed:
+            self._refused_stamp_s = stamp_s
+            raise FrameError(
+                f"time stamps must be in seconds, got {stamp_s} s more than a day after {last_s} s"
+            )
 
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.core import StageClock
-from slam_bof.errors import DatasetError
+from slam_bof.datasets import first_frame
+from slam_bof.errors import DatasetError, FrameError
 from slam_bof.geometry import se3
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.slam.loop_closer import LoopCloser
@@ -74,7 +75,7 @@ class MiniSlam:
         self._clock = clock or StageClock()
 
     def run(self, dataset: Dataset, *, max_frames: int | None = None) -> SlamResult:
-        """Process the sequence; a frame that cannot be read is skipped with a warning.
+        """Process the sequence; a frame that cannot be read or used is skipped with a warning.
 
         Frames that the loop closer has restored from an interrupted run are processed by the
         odometry alone.
@@ -86,18 +87,22 @@ class MiniSlam:
         """
         n_frames = min(len(dataset), max_frames or len(dataset))
         self._observer.on_start(n_frames)
-        restored = list(self._closer.history.frames)
+        restored, first = list(self._closer.history.frames), first_frame(dataset)
         indices: list[int] = []
         poses: list[Pose] = []
         for index, frame in self._read(dataset, n_frames):
             with self._clock.stage("odometry"):
                 T_odom_camera = self._odometry.process(frame)
-            if len(poses) < len(restored):
-                before = restored[len(poses)]
-                _check_same(dataset, index, frame, T_odom_camera, before)
-                step = Step(None, None, (), (), np.eye(4), is_lost=before.segment < 0)
-            else:
-                step = self._closer.process(frame, T_odom_camera)
+            try:
+                if len(poses) < len(restored):
+                    before = restored[len(poses)]
+                    _check_same(dataset, index, frame, T_odom_camera, before)
+                    step = Step(None, None, (), (), np.eye(4), is_lost=before.segment < 0)
+                else:
+                    step = self._closer.process(frame, T_odom_camera)
+            except FrameError as error:
+                self._observer.on_warning(f"frame {first + index} skipped: {error}")
+                continue
             indices.append(index)
             poses.append(T_odom_camera)
             self._observer.on_step(index, step)
@@ -115,7 +120,7 @@ class MiniSlam:
                 with self._clock.stage("read"):
                     frame = dataset.frame(index)
             except DatasetError as error:
-                self._observer.on_warning(f"frame {index} skipped: {error}")
+                self._observer.on_warning(f"frame {first_frame(dataset) + index} skipped: {error}")
             else:
                 yield index, frame
 

@@ -2,7 +2,9 @@ from .integrity import (
     check_map as check_map,
 )
 from .map_components import (
+    choose_component as choose_component,
     components_of as components_of,
+    largest_component as largest_component,
 )
 from .map_store import (
     MapStore as MapStore,

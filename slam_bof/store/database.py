@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import sqlite3
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
@@ -67,7 +67,7 @@ class MapDatabase:
 
     @classmethod
     def open(cls, path: Path | str, *, read_only: bool = True) -> Self:
-        """Open a map; a map that a run is still writing can be read.
+        """Open a map, or that in the folder of a run; one that is being written can be read.
 
         A map of an older version is migrated, in its file if it is opened for writing, otherwise
         in memory.
@@ -79,6 +79,8 @@ class MapDatabase:
             writing while another program writes to it.
         """
         path = Path(path)
+        if path.is_dir() and (path / "map.db").exists():
+            path = path / "map.db"
         if not path.is_file():
             found = "a folder" if path.is_dir() else "no file"
             raise MapError(f"{path}: found {found}, expected a map.db")
@@ -167,6 +169,18 @@ class MapDatabase:
             self._db.execute("VACUUM")
 
 
+def _lock(descriptor: int) -> None:
+    """Lock an open file for this process; an ``OSError`` if another one has locked it."""
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
 class _WriterLock:
     """A lock file beside a map, held by the one program that writes to it."""
 
@@ -175,12 +189,13 @@ class _WriterLock:
         self._file = Path(f"{path.resolve()}-lock")
         while True:
             try:
-                self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+                flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)
+                self._descriptor = os.open(self._file, flags, 0o644)
             except OSError as error:
                 raise MapError(f"{path}: cannot be opened for writing: {error.strerror}") from error
             try:
-                fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                _lock(self._descriptor)
+            except (BlockingIOError, PermissionError):
                 os.close(self._descriptor)
                 raise MapError(f"{path}: {ERROR_MESSAGES[sqlite3.SQLITE_BUSY]}") from None
             if self._is_current():

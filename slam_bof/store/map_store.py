@@ -7,6 +7,7 @@ so a killed run loses at most the keyframe being written. A closed map is a sing
 from __future__ import annotations
 
 import json
+import re
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -74,6 +75,12 @@ class Session:
     version: str = ""
     max_frames: int | None = None
     is_finished: bool = False
+
+    @property
+    def first_frame(self) -> int:
+        """The number, in the whole sequence, of the first frame of a slice ``name[A:B]``."""
+        match = re.search(r"\[(\d+):\d+\]$", self.sequence)
+        return int(match[1]) if match else 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +217,12 @@ class MapStore(MapDatabase):
     def intrinsics(self) -> Intrinsics | None:
         """Return the depth camera that the map was made with, for full images, if known."""
         camera = self.parameters().get("camera")
-        return None if camera is None else Intrinsics(**json.loads(camera))
+        try:
+            return None if camera is None else Intrinsics(**json.loads(camera))
+        except (TypeError, ValueError) as error:
+            raise MapError(
+                f"{self.path}: camera: {error}; found {camera}, expected a camera"
+            ) from error
 
     def sessions(self) -> list[Session]:
         """Return the sessions of the map, in order."""
@@ -334,12 +346,11 @@ class MapStore(MapDatabase):
 
     def _keep_constant(self, db: sqlite3.Connection, key: str, value: object) -> None:
         """Save a parameter that all keyframes share; ``ValueError`` if its value differs."""
-        text = json.dumps(value)
         row = db.execute("SELECT value FROM parameters WHERE key = ?", (key,)).fetchone()
         if row is None:
-            _set(db, key, text)
-        elif row["value"] != text:
-            raise ValueError(f"{self.path}: {key} must stay {row['value']}, got {text}")
+            _set(db, key, json.dumps(value))
+        elif json.loads(row["value"]) != value:
+            raise ValueError(f"{self.path}: {key} must stay {row['value']}, got {value}")
 
 
 def _key_of(loop: Loop) -> tuple[int, int, CandidateSource]:

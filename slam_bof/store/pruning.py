@@ -55,7 +55,7 @@ def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -
             if not session.is_finished:
                 raise MapError(
                     f"{path}: found an interrupted run of {session.sequence}, "
-                    "expected a finished one: resume it first"
+                    f"expected a finished one: resume it, or slam-bof map finish {path}"
                 )
         dropped = set(choose(store))
         if not dropped:

@@ -10,6 +10,7 @@ import numpy as np
 
 from slam_bof.errors import MapError
 from slam_bof.scenes import UNKNOWN_LABEL, MapRoom
+from slam_bof.store.map_components import choose_component, components_of
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import decode_scene
 from slam_bof.store.schema import POSE_COLUMNS
@@ -31,11 +32,13 @@ Quaternion = tuple[float, float, float, float]
 class KeyframeInfo:
     """A keyframe of a map.
 
+    ``frame_index`` counts in the whole sequence, also where the run took a slice of it.
     ``translation_m`` and ``quaternion_xyzw`` are the camera's pose in ``frame``: "map", or "odom"
     while the keyframe has no optimised pose. ``scene`` is the label of the keyframe's image alone,
     with the ``probabilities`` of all labels, most likely first. ``smoothed`` is the label that
     also uses the keyframes before and after, "unknown" where none is likely enough. ``region`` is
-    the id of the room the keyframe is in. ``apart_s`` and ``distance_m`` are the time difference
+    the id of the room the keyframe is in. Poses of keyframes of another ``component`` of the pose
+    graph are not comparable. ``apart_s`` and ``distance_m`` are the time difference
     and distance to the time and position that were asked for.
     """
 
@@ -52,21 +55,32 @@ class KeyframeInfo:
     quaternion_xyzw: Quaternion
     n_loops: int
     probabilities: dict[str, float]
+    component: int
     apart_s: float | None = None
     distance_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class LoopInfo:
-    """An accepted loop; ``translation_m`` and ``quaternion_xyzw`` are T_match_query."""
+    """A pair of keyframes that was considered as a loop, the decision, and the reason for it.
+
+    ``translation_m`` and ``quaternion_xyzw`` are T_match_query. What was not measured is None. The
+    decision is "accepted", "rejected" or "held". ``component`` is that of the query.
+    """
 
     query_id: int
     match_id: int
     query_stamp_s: float
     match_stamp_s: float
     source: str
-    translation_m: Position
-    quaternion_xyzw: Quaternion
+    decision: str
+    reason: str
+    score: float | None
+    overlap: float | None
+    rmse_m: float | None
+    translation_m: Position | None
+    quaternion_xyzw: Quaternion | None
+    component: int
 
 
 def query_keyframes(
@@ -78,6 +92,7 @@ def query_keyframes(
     scene: str | None = None,
     min_probability: float = 0.0,
     labels: Labels = "smoothed",
+    component: int | None = None,
     limit: int | None = None,
 ) -> list[KeyframeInfo]:
     """Return the keyframes that meet all conditions given.
@@ -91,20 +106,24 @@ def query_keyframes(
     time_s
         Order by the time difference to this time.
     near_m
-        Order by the distance to this position (x, y, z) in the map frame.
+        Order by the distance to this position (x, y, z) in the map frame, and return only
+        keyframes of one component, by default of the largest.
     scene, min_probability
         Return only keyframes with this label, and with a label of at least this probability.
     labels
         Which label is meant: ``smoothed`` (where there is none, the raw one) or ``raw``.
+    component
+        Return only keyframes of this component of the pose graph.
     limit
         Return at most this many.
 
     Raises
     ------
     MapError
-        If the map has no such keyframe or no such scene label.
+        If the map has no such keyframe, scene label or component.
     """
     _check_scene(store, scene)
+    components = components_of(store)
     label, probability = "scene", "scene_probability"
     if labels == "smoothed":
         label = "coalesce(smoothed, scene)"
@@ -124,7 +143,21 @@ def query_keyframes(
             if n
             else f"{store.path}: found no keyframes, expected keyframe {keyframe_id}"
         )
-    records = [_keyframe_info(store, row, time_s, near_m) for row in rows]
+    if component is not None or near_m is not None:
+        inside = choose_component(store, component)
+        rows = [row for row in rows if inside[row["id"]]]
+    first_frames = {session.id: session.first_frame for session in store.sessions()}
+    records = [
+        _keyframe_info(
+            store,
+            row,
+            first_frame=first_frames[row["session"]],
+            component=int(components[row["id"]]),
+            time_s=time_s,
+            near_m=near_m,
+        )
+        for row in rows
+    ]
     if time_s is not None:
         records.sort(key=lambda record: record.apart_s or 0.0)
     if near_m is not None:
@@ -151,21 +184,37 @@ def query_rooms(
     return sorted(found, key=lambda region: -region.probability) if scene else found
 
 
-def query_loops(store: MapStore, *, keyframe_id: int | None = None) -> list[LoopInfo]:
-    """Return the accepted loops, all or those of one keyframe, without covisibility edges."""
+def query_loops(
+    store: MapStore, *, keyframe_id: int | None = None, considered: bool = False
+) -> list[LoopInfo]:
+    """Return the loops, all or those of one keyframe, without covisibility edges.
+
+    They are those of the pose graph, or all pairs that were ``considered``, whatever the decision.
+    """
     rows = store.select(
-        "SELECT loops.*, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s FROM loops"
+        "SELECT c.*, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s FROM candidates AS c"
         " JOIN keyframes AS q ON q.id = query_id JOIN keyframes AS m ON m.id = match_id"
-        " WHERE kind = 'loop' AND (?1 IS NULL OR ?1 IN (query_id, match_id)) ORDER BY loops.id",
+        " WHERE kind = 'loop' AND (?1 IS NULL OR ?1 IN (query_id, match_id))"
+        " AND (?2 OR (decision = 'accepted' AND loop_id IS NOT NULL))"
+        " ORDER BY loop_id IS NULL, loop_id, c.id",
         keyframe_id,
+        considered,
     )
-    names = ("query_id", "match_id", "query_stamp_s", "match_stamp_s", "source")
+    components = components_of(store)
+    names = ("query_id", "match_id", "query_stamp_s", "match_stamp_s", "source", "decision")
     records: list[LoopInfo] = []
     for row in rows:
-        values: dict[str, Any] = {name: row[name] for name in names}
-        translation_m, quaternion_xyzw = _pose(row, "")
+        values: dict[str, Any] = {
+            name: row[name] for name in (*names, "reason", "score", "overlap", "rmse_m")
+        }
+        translation_m, quaternion_xyzw = _pose(row, "") if row["tx"] is not None else (None, None)
         records.append(
-            LoopInfo(translation_m=translation_m, quaternion_xyzw=quaternion_xyzw, **values)
+            LoopInfo(
+                translation_m=translation_m,
+                quaternion_xyzw=quaternion_xyzw,
+                component=int(components[row["query_id"]]),
+                **values,
+            )
         )
     return records
 
@@ -179,7 +228,13 @@ def _check_scene(store: MapStore, scene: str | None) -> None:
 
 
 def _keyframe_info(
-    store: MapStore, row: Any, time_s: float | None, near_m: Sequence[float] | None
+    store: MapStore,
+    row: Any,
+    *,
+    first_frame: int,
+    component: int,
+    time_s: float | None,
+    near_m: Sequence[float] | None,
 ) -> KeyframeInfo:
     frame = "odom" if row["map_tx"] is None else "map"
     translation_m, quaternion_xyzw = _pose(row, f"{frame}_")
@@ -189,7 +244,7 @@ def _keyframe_info(
         probabilities = dict(sorted(pairs, key=lambda pair: -pair[1]))
     return KeyframeInfo(
         id=row["id"],
-        frame_index=row["frame_index"],
+        frame_index=first_frame + row["frame_index"],
         stamp_s=row["stamp_s"],
         scene=row["scene"],
         scene_probability=row["scene_probability"],
@@ -201,6 +256,7 @@ def _keyframe_info(
         quaternion_xyzw=quaternion_xyzw,
         n_loops=row["n_loops"],
         probabilities=probabilities,
+        component=component,
         apart_s=None if time_s is None else abs(row["stamp_s"] - time_s),
         distance_m=(
             None if near_m is None else float(np.linalg.norm(np.subtract(translation_m, near_m)))

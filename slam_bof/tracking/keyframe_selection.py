@@ -13,6 +13,10 @@ from slam_bof.types import Params, Pose
 __all__ = ["KeyframeParams", "KeyframeSelector"]
 
 
+REST_M, REST_RAD = 0.005, 0.005
+"""A camera that is closer than this to the last keyframe, in both, stands still."""
+
+
 class KeyframeParams(Params):
     """Policy ``motion`` keeps a frame that moved enough; ``every`` the paper's k-th frame."""
 
@@ -35,7 +39,8 @@ class KeyframeParams(Params):
     max_gap: int = Field(
         10,
         gt=0,
-        description="With motion: largest number of frames from one keyframe to the next.",
+        description="With motion: largest number of frames from one keyframe to the next, unless "
+        "the camera stands still.",
     )
     min_inlier_ratio: float = Field(
         0.4,
@@ -88,9 +93,12 @@ class KeyframeSelector:
             return gap >= p.every
         assert self._T_odom_camera is not None
         motion = se3.inverse(self._T_odom_camera) @ T_odom_camera
+        distance_m = float(np.linalg.norm(motion[:3, 3]))
+        angle_rad = float(se3.rotation_angle(motion))
+        is_at_rest = distance_m < REST_M and angle_rad < REST_RAD
         return (
-            gap >= p.max_gap
+            (gap >= p.max_gap and not is_at_rest)
             or inlier_ratio < p.min_inlier_ratio
-            or float(np.linalg.norm(motion[:3, 3])) >= p.distance_m
-            or float(se3.rotation_angle(motion)) >= p.angle_rad
+            or distance_m >= p.distance_m
+            or angle_rad >= p.angle_rad
         )

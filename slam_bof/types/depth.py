@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any, Self, TypeVar
@@ -16,6 +18,13 @@ __all__ = ["INVALID_DEPTH_MM", "DepthFrame", "Intrinsics", "SensorParams", "Subs
 
 INVALID_DEPTH_MM = 65535
 """Value of a pixel without depth in 7-Scenes files; 0 has the same meaning."""
+
+MIN_FOCAL = 0.05
+"""Smallest plausible focal length, as a share of the image's size along the same axis."""
+MAX_CENTER = 0.95
+"""Largest plausible coordinate of the principal point, as a share of the image's size."""
+SAME_CAMERA = 0.005
+"""Largest relative difference of the intrinsics of one camera, whose focus may move a little."""
 
 Derived = TypeVar("Derived")
 
@@ -49,7 +58,15 @@ DEFAULT_SENSOR = SensorParams()
 
 @dataclass(frozen=True, slots=True)
 class Intrinsics:
-    """A pinhole camera: image size, focal lengths and principal point, all in pixels."""
+    """A pinhole camera: image size, focal lengths and principal point, all in pixels.
+
+    Raises
+    ------
+    ValueError
+        If the numbers cannot be of a camera with such images: a focal length is not positive or
+        below 5 % of the image's size (a field of view of more than 168 degrees), or the principal
+        point lies outside the image or in the 5 % along its edges.
+    """
 
     width: int
     height: int
@@ -57,6 +74,45 @@ class Intrinsics:
     fy: float
     cx: float
     cy: float
+
+    def __post_init__(self) -> None:
+        """Convert all numbers to plain ones, and check that they are plausible."""
+        for name in ("width", "height"):
+            object.__setattr__(self, name, operator.index(getattr(self, name)))
+        for name in ("fx", "fy", "cx", "cy"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        if min(self.width, self.height) < 1:
+            raise ValueError(f"found an image of {self.width}x{self.height} pixels, expected some")
+        for axis, size, focal, center in (
+            ("x", self.width, self.fx, self.cx),
+            ("y", self.height, self.fy, self.cy),
+        ):
+            where = f"for an image of {self.width}x{self.height} pixels"
+            low, high = MIN_FOCAL * size, MAX_CENTER * size
+            if not low <= focal < math.inf:
+                raise ValueError(
+                    f"found a focal length f{axis} of {focal:g} px {where}, "
+                    f"expected at least {low:g} px"
+                )
+            if not size - high <= center + 0.5 <= high:
+                raise ValueError(
+                    f"found the principal point at c{axis} = {center:g} px {where}, expected it "
+                    f"between {size - high:g} and {high:g} px"
+                )
+
+    def is_close(self, other: Intrinsics) -> bool:
+        """Return whether both are of one camera, whose focus may move a little.
+
+        The sizes are equal, the focal lengths differ by no more than 0.5 %, and the principal
+        points by no more than 0.5 % of the image's size.
+        """
+        return (
+            (self.width, self.height) == (other.width, other.height)
+            and abs(self.fx - other.fx) <= SAME_CAMERA * other.fx
+            and abs(self.fy - other.fy) <= SAME_CAMERA * other.fy
+            and abs(self.cx - other.cx) <= SAME_CAMERA * other.width
+            and abs(self.cy - other.cy) <= SAME_CAMERA * other.height
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -45,6 +45,13 @@ class Trajectory:
         if self.poses.shape != (len(self.stamps_s), 4, 4):
             raise ValueError(f"poses must be ({len(self.stamps_s)}, 4, 4), got {self.poses.shape}")
 
+    def __repr__(self) -> str:
+        """Return how many poses there are, and from when to when."""
+        if not len(self):
+            return "Trajectory(no poses)"
+        first_s, last_s = self.stamps_s[[0, -1]].tolist()
+        return f"Trajectory({len(self)} poses from {first_s} to {last_s} s)"
+
     def __len__(self) -> int:
         """Return the number of poses."""
         return len(self.stamps_s)

@@ -18,6 +18,7 @@ __all__ = [
     "draw_candidates",
     "draw_errors",
     "draw_labels",
+    "draw_reasons",
     "draw_stages",
     "draw_top_view",
     "draw_trajectories",
@@ -235,6 +236,23 @@ def draw_stages(stage_ms: Mapping[str, float]) -> Figure:
     )
     figure.update_yaxes(autorange="reversed")
     return figure.update_layout(height=80 + 34 * len(stage_ms), bargap=0.35, margin={"t": 16})
+
+
+def draw_reasons(counts: Mapping[str, int]) -> Figure:
+    """Draw how many candidates were not accepted for each reason."""
+    figure = _figure("pairs", "")
+    figure.add_bar(
+        x=list(counts.values()),
+        y=list(counts),
+        orientation="h",
+        marker={"color": COLORS["odometry"]},
+        texttemplate="%{x}",
+        textposition="outside",
+        cliponaxis=False,
+        hovertemplate="%{y}: %{x}<extra></extra>",
+    )
+    figure.update_yaxes(autorange="reversed", automargin=True)
+    return figure.update_layout(height=80 + 34 * len(counts), bargap=0.35, margin={"t": 16})
 
 
 def draw_precision_recall(curves: Mapping[str, Mapping[str, Array]]) -> Figure:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +26,9 @@ from slam_bof.types import (
 from slam_bof.visualization import html_page as page
 
 __all__ = ["ReportData", "write_report"]
+
+N_REASONS = 15
+"""Number of reasons that the report counts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,6 +136,12 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
             "The path of the camera by odometry alone, and after correction by loops, each "
             "rigidly aligned with ground truth, as for the absolute trajectory error (ATE)."
         )
+    n_components = data.metrics.get("n_components")
+    if isinstance(n_components, int) and n_components > 1:
+        text += (
+            f" The map has {n_components} components that no loop has joined: how they lie to "
+            "each other is unknown, although they are drawn in one figure."
+        )
     poses = _poses(data, truth)
     T_level = _level(poses["optimized"])
     paths = {name: se3.transform(T_level, p[:, :3, 3]).round(4) for name, p in poses.items()}
@@ -170,15 +181,32 @@ def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str
     n_accepted = sum(c.decision == Decision.ACCEPTED for c in considered)
     n_near = sum(c.source == CandidateSource.PROXIMITY for c in considered)
     figure = figures.draw_candidates(considered, _since_start(data, stamps_s))
+    reasons = _count_reasons(considered)
+    histogram = [page.figure_html(figures.draw_reasons(reasons), "reasons")] if reasons else []
     return page.section(
         "Loop candidates",
         f"{_count(len(considered), 'pair')} of keyframes considered, {n_accepted} accepted. "
         "Above: the score with which place recognition proposed a pair; "
         f"{n_near} pairs proposed because they are near in the map have none. "
         "Below: the overlap of the two keyframes, for pairs that were verified. "
-        "Hover over a point to see the reason for the decision.",
+        "Hover over a point to see the reason for the decision. Below that: how often pairs were "
+        "not accepted for which reason.",
         page.figure_html(figure, "candidates"),
+        *histogram,
     )
+
+
+def _count_reasons(considered: Sequence[Candidate]) -> dict[str, int]:
+    """Return how many pairs have each reason, the most frequent first; numbers are left out.
+
+    Reasons with a number each, such as an overlap, count as one.
+    """
+    reasons = Counter(
+        re.sub(r"\d+(?:\.\d+)?", "…", candidate.reason)
+        for candidate in considered
+        if candidate.reason and candidate.decision != Decision.ACCEPTED
+    )
+    return dict(reasons.most_common(N_REASONS))
 
 
 def _label_section(data: ReportData) -> str:

@@ -5,20 +5,29 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
-from saved_maps import save
+from saved_maps import make_loop, save
 from test_cli import refusal, slam_bof
 
 from slam_bof.bof import PlaceParams
 from slam_bof.geometry import se3
 from slam_bof.scenes import MapRoom, TrainingFrame, model, train_model
 from slam_bof.store import MapStore, SessionResult
-from slam_bof.types import Bag, DepthFrame, Keyframe, Scene
+from slam_bof.types import (
+    Bag,
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    Keyframe,
+    Scene,
+)
 
 CLASSES = ("kitchen", "office")
 
@@ -106,14 +115,16 @@ def two_kinds(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path) -> None:
     image, trained = two_kinds / "wide.png", two_kinds / "two.bof"
-    answer = json.loads(slam_bof("query", image, "--model", trained, "--json").stdout)
+    assert "wide.png: found no intrinsics.json beside it, expected --intrinsics FX FY CX CY" in (
+        refusal("query", image, "--model", trained)
+    )
+    own = ("--intrinsics", 146.25, 146.25, 80, 60)
+    answer = json.loads(slam_bof("query", image, "--model", trained, *own, "--json").stdout)
     assert set(answer["probabilities"]) == {"narrow", "wide"}
     assert answer["label"] == max(answer["probabilities"], key=answer["probabilities"].get)
     assert sum(answer["probabilities"].values()) == pytest.approx(1.0)
-    assert answer["intrinsics"]["fx"] == 146.25
-    assert answer["intrinsics_from"].startswith("assumed, a Kinect's; found no intrinsics.json")
-    table = slam_bof("query", image, "--model", trained).stdout
-    assert "(intrinsics 146.25 146.25 80 60: assumed" in table
+    table = slam_bof("query", image, "--model", trained, *own).stdout
+    assert "(intrinsics 146.25 146.25 80 60: as given" in table
 
     given = ("--intrinsics", 200, 201, 80, 60)
     answer = json.loads(slam_bof("query", image, "--model", trained, *given, "--json").stdout)
@@ -127,8 +138,11 @@ def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path)
     assert answer["intrinsics_from"] == f"from {tmp_path / 'intrinsics.json'}"
 
 
+OWN = ("--intrinsics", 146.25, 146.25, 80, 60)
+
+
 def test_too_little_is_unknown(two_kinds: Path) -> None:
-    ask = ("query", two_kinds / "wide.png", "--model", two_kinds / "two.bof", "--json")
+    ask = ("query", two_kinds / "wide.png", "--model", two_kinds / "two.bof", *OWN, "--json")
     answer = json.loads(slam_bof(*ask, "--min-probability", 1.0).stdout)
     assert answer["label"] == "unknown"
 
@@ -137,7 +151,7 @@ def test_units_of_the_image_can_be_given(two_kinds: Path, tmp_path: Path) -> Non
     depth = cv2.imread(str(two_kinds / "wide.png"), cv2.IMREAD_UNCHANGED)
     cv2.imwrite(str(tmp_path / "fifths.png"), 5 * depth)
     np.save(tmp_path / "metres.npy", (depth / 1000.0).astype(np.float32))
-    trained = ("--model", two_kinds / "two.bof", "--json")
+    trained = ("--model", two_kinds / "two.bof", *OWN, "--json")
     expected = json.loads(slam_bof("query", two_kinds / "wide.png", *trained).stdout)
     for name, extra in (("fifths.png", ("--depth-scale", 5000)), ("metres.npy", ())):
         answer = json.loads(slam_bof("query", tmp_path / name, *trained, *extra).stdout)
@@ -145,7 +159,7 @@ def test_units_of_the_image_can_be_given(two_kinds: Path, tmp_path: Path) -> Non
 
 
 def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
-    trained = ("--model", two_kinds / "two.bof")
+    trained = ("--model", two_kinds / "two.bof", *OWN)
     assert "none.png: found no such file" in refusal("query", tmp_path / "none.png", *trained)
     cv2.imwrite(str(tmp_path / "color.png"), np.zeros((4, 5, 3), np.uint8))
     assert "found an image 4x5x3 of uint8, expected one channel of uint16" in refusal(
@@ -155,11 +169,119 @@ def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
     assert "found no image that can be read" in refusal("query", tmp_path / "text.png", *trained)
     image = two_kinds / "wide.png"
     assert "--intrinsics: found '1,2', expected FX FY CX CY in pixels" in refusal(
-        "query", image, *trained, "--intrinsics", 1, 2
+        "query", image, *trained[:2], "--intrinsics", 1, 2
     )
-    assert "--time: found without a map" in refusal("query", image, *trained, "--time", 1)
+    assert slam_bof("query", image, *trained, "--time", 1).exit_code == 2
     assert "none.bof: no such model file" in refusal("query", image, "--model", "none.bof")
     other = tmp_path / "image.png"
     other.write_bytes(image.read_bytes())
     (tmp_path / "intrinsics.json").write_text('{"width": 1}')
-    assert "expected JSON with width, height" in refusal("query", other, *trained)
+    assert "expected JSON with width, height" in refusal("query", other, *trained[:2])
+
+
+def test_tables_call_labels_as_json_does(labelled: Path) -> None:
+    (record,) = found(labelled, "--keyframe", 1)
+    table = slam_bof("query", labelled, "--keyframe", 1).stdout.splitlines()
+    head, row = ([cell.strip() for cell in line.strip("│┃").replace("┃", "│").split("│")]
+                 for line in table if "smoothed" in line or "kitchen" in line)  # fmt: skip
+    shown = dict(zip(head, row, strict=True))
+    assert (shown["smoothed"], shown["scene"]) == (record["smoothed"], record["scene"])
+
+
+@pytest.mark.parametrize("width", [80, 60])
+def test_tables_fit_narrow_terminals(
+    labelled: Path, width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    lines = slam_bof("query", labelled).stdout.splitlines()
+    plain = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in lines]
+    assert max(map(len, plain)) <= width
+    text = "\n".join(plain)
+    assert "…" not in text
+    assert (text.count("office"), text.count("kitchen")) == (3, 5)  # whole words, none cut
+
+
+def test_options_that_exclude_each_other_are_refused(labelled: Path) -> None:
+    for arguments in (
+        ("query", labelled, "--time", 1, "--near", 0, 0, 0),
+        ("query", labelled, "--loops", "--rooms"),
+        ("query", labelled, "--loops", "--scene", "kitchen"),
+        ("query", labelled, "--rooms", "--near", 0, 0, 0),
+        ("query", labelled, "--model", "default"),
+        ("query", "loops", labelled, "--accepted", "--rejected"),
+    ):
+        assert slam_bof(*arguments).exit_code == 2, arguments
+
+
+def test_subcommands_and_the_plain_forms_are_the_same(labelled: Path) -> None:
+    assert found("keyframes", labelled) == found(labelled)
+    assert found("rooms", labelled) == found(labelled, "--rooms") == found("--regions", labelled)
+    assert found("loops", labelled) == found(labelled, "--loops") == []
+
+
+@pytest.fixture
+def parted(tmp_path: Path) -> Path:
+    """A map of two components, three keyframes and two, with a loop and two pairs that are none."""
+    pairs = [
+        Candidate(2, 0, CandidateSource.VIEW, overlap=0.9, rmse_m=0.01, decision=Decision.ACCEPTED),
+        Candidate(2, 1, CandidateSource.VIEW, decision=Decision.REJECTED, reason="overlap 0.12"),
+        Candidate(4, 0, CandidateSource.VIEW, score=0.5, decision=Decision.HELD, reason="alone"),
+    ]
+    loop = make_loop(2, 0, source="view")
+    with MapStore.create(tmp_path / "map.db") as store:
+        for k in range(5):
+            T = se3.pose(np.eye(3), [float(k), 0.0, 0.0])
+            bag = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+            keyframe = Keyframe(k, k, k / 2, T, bag, None, segment=int(k >= 3))
+            own = [c for c in pairs if c.query_id == k]
+            save(store, keyframe, own, [loop] if k == 2 else [], n_frames=1)
+        poses = np.array([k.T_odom_camera for k in store.keyframes()])
+        store.finish(0, SessionResult([], poses, [None] * 5, []))
+    return tmp_path
+
+
+def test_loops_are_the_audit_trail(parted: Path) -> None:
+    trail = [(r["query_id"], r["match_id"], r["decision"], r["reason"]) for r in
+             found("loops", parted)]  # fmt: skip
+    rejected = [(2, 1, "rejected", "overlap 0.12"), (4, 0, "held", "alone")]
+    assert trail == [(2, 0, "accepted", ""), *rejected]
+    assert [r["match_id"] for r in found("loops", parted, "--accepted")] == [0]
+    assert [r["reason"] for r in found("loops", parted, "--rejected")] == ["overlap 0.12", "alone"]
+    assert [r["query_id"] for r in found("loops", parted, "--keyframe", 1)] == [2]
+    table = slam_bof("query", "loops", parted).stdout
+    assert "overlap 0.12" in table
+
+
+def test_components_are_told_apart(parted: Path, caplog: pytest.LogCaptureFixture) -> None:
+    assert [r["component"] for r in found(parted)] == [0, 0, 0, 1, 1]
+    assert [r["id"] for r in found(parted, "--component", 1)] == [3, 4]
+    assert [r["component"] for r in found("loops", parted)] == [0, 0, 1]
+    assert not caplog.text
+    near = ("--near", 4, 0, 0)
+    assert [r["id"] for r in found(parted, *near)] == [2, 1, 0]
+    assert "warning: " in slam_bof("query", parted, *near).stderr
+    assert "2 components that no loop has joined; taking the largest, component 0, with 3 of 5" in (
+        caplog.text
+    )
+    assert [r["id"] for r in found(parted, *near, "--component", 1)] == [4, 3]
+    assert "found no component 7, expected one of: 0, 1" in refusal(
+        "query", parted, "--component", 7
+    )
+
+
+def test_exports_have_one_component(parted: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for form in ("tum", "kitti", "csv", "g2o"):
+        for more, n in (((), 3), (("--component", 1), 2)):
+            result = slam_bof("export", parted, "--format", form, "-o", out, *more, "--json")
+            assert json.loads(result.stdout)["n_keyframes"] == n
+            lines = out.read_text().splitlines()
+            kept = [line for line in lines if not line.startswith(("EDGE", "FIX", "id"))]
+            assert len(kept) == n, form
+    graph = out.read_text().splitlines()
+    assert [line.split()[1] for line in graph if line.startswith("VERTEX")] == ["3", "4"]
+    assert [line.split()[1:3] for line in graph if line.startswith("EDGE")] == [["3", "4"]]
+    all_frames = ("export", parted, "--all-frames", "-o", out, "--format", "tum")
+    assert slam_bof(*all_frames).exit_code == 0
+    assert len(out.read_text().splitlines()) == 3

@@ -6,11 +6,12 @@ import ctypes.util
 import os
 import subprocess
 import sys
+import threading
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from slam_bof.core import native_libraries as native, one_blas_thread
+from slam_bof.core import native_libraries as native, one_blas_thread, one_native_thread
 
 MAPPED = (
     "import pathlib\n"
@@ -94,6 +95,49 @@ def test_blas_has_one_thread_within_and_what_it_had_before_after() -> None:
         assert blas_threads() == before
         with pytest.raises(KeyError), one_blas_thread():
             raise KeyError
+        assert blas_threads() == before
+
+
+@pytest.mark.parametrize("limits", [(one_blas_thread, one_blas_thread),
+                                    (one_native_thread, one_blas_thread),
+                                    (one_blas_thread, one_native_thread)])  # fmt: skip
+def test_overlapping_limits_of_two_threads_restore_what_they_found(limits) -> None:
+    """The first to begin is the first to end, while the second still runs."""
+    first_runs, second_runs, first_ended = (threading.Event() for _ in range(3))
+    seen = {}
+
+    def first() -> None:
+        with limits[0]():
+            first_runs.set()
+            assert second_runs.wait(60)
+        first_ended.set()
+
+    def second() -> None:
+        assert first_runs.wait(60)
+        with limits[1]():
+            second_runs.set()
+            assert first_ended.wait(60)
+            seen["within"] = blas_threads()
+
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        threads = [threading.Thread(target=target) for target in (first, second)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert set(seen["within"]) == {1}
+        assert blas_threads() == before
+        assert set(before) == {2}
+
+
+def test_nested_limits_restore_what_they_found() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        with one_blas_thread():
+            with one_native_thread(), one_blas_thread():
+                assert set(blas_threads()) == {1}
+            assert set(blas_threads()) == {1}
         assert blas_threads() == before
 
 

@@ -40,6 +40,36 @@ def test_frames_wait_for_their_poses_and_keep_their_order():
     assert not pairing.counts
 
 
+@pytest.mark.parametrize("pose_first", [True, False])
+@pytest.mark.parametrize("broken", ["pose", "frame", "both"])
+def test_one_stamp_from_the_future_is_not_the_clock(broken, pose_first):
+    pairing, taken = FramePoseSynchroniser(), []
+    for k in range(60):
+        future = 10_000_000 if k == 20 else 0
+
+        def add_frame(k=k, future=future):
+            pairing.add_frame(frame(k + future * (broken != "pose")))
+
+        def add_pose(k=k, future=future):
+            pairing.add_pose(0.1 * (k + future * (broken != "frame")), pose(k))
+
+        for add in (add_pose, add_frame) if pose_first else (add_frame, add_pose):
+            add()
+            taken += pairing.take()
+    # A pose in between is interpolated; the frame of the future waits for its time.
+    expected = [k for k in range(60) if k != 20 or broken == "pose"]
+    assert [k for k in stamps(taken) if k < 59] == expected[:-1]
+    assert pairing.counts.total() <= 1
+
+
+def test_a_clock_that_has_really_jumped_is_followed():
+    pairing = FramePoseSynchroniser()
+    for k in (0, 1, 2, 5000, 5001, 5002):
+        pairing.add_frame(frame(k))
+        pairing.add_pose(0.1 * k, pose(k))
+    assert stamps(pairing.take()) == [0, 1, 2, 5000, 5001, 5002]
+
+
 def test_between_poses_it_interpolates_once_no_nearer_one_will_come():
     pairing = FramePoseSynchroniser(SynchroniserParams(max_wait_s=0.4))
     pairing.add_frame(frame(1))

@@ -4,8 +4,9 @@ from conftest import CAMERA, box_room_depth_mm
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 
+from slam_bof.errors import DatasetError
 from slam_bof.evaluation import ProtocolParams, overlap_shares
-from slam_bof.evaluation.place_protocol import allowed_answers, relevant_answers
+from slam_bof.evaluation.place_protocol import PlaceQueries, allowed_answers, relevant_answers
 from slam_bof.evaluation.retrieval_metrics import retrieval_metrics
 from slam_bof.geometry import se3
 from slam_bof.types import DepthFrame, Trajectory
@@ -49,6 +50,35 @@ def test_truths_by_pose_and_by_overlap_differ():
     right = relevant_answers(frames_at(poses), [0, 1, 2], reference, params)
     assert np.argwhere(right["pose"]).tolist() == [[2, 0], [2, 1]]
     assert np.argwhere(right["overlap"]).tolist() == [[1, 0], [2, 0], [2, 1]]
+
+
+class Turn:
+    """Frames of a box room, some of them without a true pose."""
+
+    sequence = "box/turn"
+
+    def __init__(self, unknown):
+        self.poses = np.stack([turned(0.1 * k) for k in range(6)])
+        self.truth = self.poses.copy()
+        self.truth[unknown] = np.nan
+
+    def __len__(self):
+        return len(self.poses)
+
+    def frame(self, index):
+        return frames_at(self.poses)[index]
+
+    def groundtruth(self):
+        return Trajectory(np.arange(6) / 30, self.truth)
+
+
+def test_frames_without_a_true_pose_are_no_queries(caplog):
+    queries = PlaceQueries.of(Turn([0, 1, 2]), ProtocolParams(every=1, min_age_frames=1))
+    assert queries.indices == [3, 4, 5]
+    assert queries.relevant["overlap"].shape == (3, 3)
+    assert "box/turn: 3 of 6 frames have no true pose and are left out" in caplog.text
+    with pytest.raises(DatasetError, match="found no frame with a true pose"):
+        PlaceQueries.of(Turn(list(range(6))), ProtocolParams(every=1))
 
 
 def literal(scores, truth, allowed, k):

@@ -174,7 +174,11 @@ def test_sessions_with_a_time_of_their_own_are_exported_one_by_one(tmp_path):
     with MapStore.create(tmp_path / "map.db") as store:
         for id_, session in ((0, 0), (1, 0), (2, 1), (3, 1)):
             keyframe = make_keyframe(id_, session=session)
-            save(store, replace(keyframe, frame_index=id_ % 2, stamp_s=id_ % 2), n_frames=1)
+            save(
+                store,
+                replace(keyframe, frame_index=id_ % 2, stamp_s=id_ % 2, segment=0),
+                n_frames=1,
+            )
         for session in (0, 1):
             store.finish(session, SessionResult([], np.tile(np.eye(4), (4, 1, 1)), [None] * 4, []))
         for all_frames in (False, True):

@@ -93,20 +93,22 @@ class Bag:
 
     def camera(self, topic: str, *, size: tuple[int, int] = (WIDTH, HEIGHT), fx: float = 30.0,
                fy: float = 31.0, centre: tuple[float, float] = (16.0, 12.0),
-               frame: str = FRAME) -> None:  # fmt: skip
+               frame: str = FRAME, binning: int = 0, roi: tuple[int, int, int, int] = (0, 0, 0, 0),
+               ) -> None:  # fmt: skip
         cx, cy = centre
         K = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1], float)
         P = np.insert(K, [3, 6, 9], 0.0)
         names = ("D", "K", "R", "P") if self._version == 1 else ("d", "k", "r", "p")
         matrices = dict(zip(names, (np.zeros(5), K, np.eye(3).ravel(), P), strict=True))
-        roi = self.make(
-            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0,
-            do_rectify=False,
+        x, y, roi_width, roi_height = roi
+        region = self.make(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=x, y_offset=y, height=roi_height,
+            width=roi_width, do_rectify=False,
         )  # fmt: skip
         message = self.make(
             "sensor_msgs/msg/CameraInfo", header=self.header(START_NS, frame), width=size[0],
-            height=size[1], distortion_model="plumb_bob", binning_x=0, binning_y=0, roi=roi,
-            **matrices,
+            height=size[1], distortion_model="plumb_bob", binning_x=binning,
+            binning_y=binning, roi=region, **matrices,
         )  # fmt: skip
         self.write(topic, START_NS, message)
 

@@ -78,6 +78,67 @@ def test_transforms_are_composed_up_to_the_world(tmp_path: Path, form: str) -> N
     )
 
 
+@pytest.mark.parametrize("first", ["map", "odom"])
+def test_of_two_parents_the_one_on_the_way_counts(tmp_path: Path, first: str) -> None:
+    """Motion capture and wheels each say where the base is, by frames of their own."""
+    parents = {"map": T_MAP_ODOM, "odom": np.eye(4)}
+    order = [first, *(parents.keys() - {first})]
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.tf("/tf_static", START_NS, "base_link", FRAME, T_BASE_CAMERA)
+        for number in range(-1, 5):
+            for parent in order:
+                bag.tf("/tf", time_ns(number), parent, "base_link", parents[parent] @ pose(number))
+        for number in range(4):
+            bag.image(TOPIC, time_ns(number), ramp(number), "16UC1")
+    for world, T_world in parents.items():
+        options = {"groundtruth": "/tf", "world_frame": world}
+        groundtruth = registry.open_dataset(path, "bag", options).groundtruth()
+        assert groundtruth is not None
+        expected = T_world @ pose(2) @ T_BASE_CAMERA
+        np.testing.assert_allclose(groundtruth.poses[2], expected, atol=1e-5)
+    said = refusal("bag", path, groundtruth="/tf", world_frame="earth")
+    assert "<- base_link <- map and " in said
+    assert "<- base_link <- odom" in said
+
+
+def test_two_ways_to_the_world_are_refused(tmp_path: Path) -> None:
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.tf("/tf_static", START_NS, "base_link", FRAME, T_BASE_CAMERA)
+        for number in range(4):
+            bag.tf("/tf", time_ns(number), "map", "base_link", pose(number))
+            bag.tf("/tf", time_ns(number), "odom", "base_link", pose(number))
+            bag.tf("/tf", time_ns(number), "map", "odom", T_MAP_ODOM)
+            bag.image(TOPIC, time_ns(number), ramp(number), "16UC1")
+    assert (
+        f"found 2 ways {FRAME} <- base_link <- map and {FRAME} <- base_link <- odom <- map, "
+        "expected one"
+    ) in refusal("bag", path, groundtruth="/tf")
+
+
+@pytest.mark.parametrize("static", ["/robot1/tf_static", "/tf_static"])
+@pytest.mark.parametrize("topic", ["/robot1/tf", "/robot1/odom"])
+def test_one_robot_of_several_has_its_own_transforms(
+    tmp_path: Path, static: str, topic: str
+) -> None:
+    """Another robot's camera is mounted elsewhere, under the same names."""
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.tf("/robot2/tf_static", START_NS, "base_link", FRAME, np.eye(4))
+        bag.tf(static, START_NS, "base_link", FRAME, T_BASE_CAMERA)
+        for number in range(-1, 5):
+            bag.tf("/robot1/tf", time_ns(number), "odom", "base_link", pose(number))
+            bag.odometry("/robot1/odom", time_ns(number), pose(number), "base_link")
+        for number in range(4):
+            bag.image(TOPIC, time_ns(number), ramp(number), "16UC1")
+    options = {"groundtruth": topic, "world_frame": "odom"}
+    groundtruth = registry.open_dataset(path, "bag", options).groundtruth()
+    assert groundtruth is not None
+    np.testing.assert_allclose(groundtruth.poses[2], pose(2) @ T_BASE_CAMERA, atol=1e-5)
+    np.testing.assert_allclose(play(path), WALKED, atol=1e-5)
+
+
 # As odometry
 
 

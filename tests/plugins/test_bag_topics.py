@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from bags import INFO, TOPIC, png, time_ns, writing
-from datasets import ramp, refusal
+from datasets import HEIGHT, WIDTH, ramp, refusal
 
 from slam_bof.core import registry
 
@@ -86,10 +88,49 @@ def test_what_is_missing_is_told(tmp_path: Path) -> None:
     with writing(tmp_path / "c", "ros1") as (bag, path):
         bag.camera("/camera_info", fx=0)
         bag.image("/depth", time_ns(0), ramp(), "16UC1")
-    assert "/camera_info: found no focal length" in refusal("bag", path)
+    assert "/camera_info: found a focal length fx of 0 px" in refusal("bag", path)
     (tmp_path / "d").mkdir()
     with writing(tmp_path / "d", "ros1") as (bag, path):
         bag.image("/color", time_ns(0), ramp(), "rgb8")
     assert "found no depth images (of images: /color (rgb8)), expected a topic" in refusal(
         "bag", path
     )
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"size": (4 * WIDTH, 4 * HEIGHT), "binning": 4}, (30, 31, 15.5, 11.5)),
+        (
+            {"size": (160, 120), "centre": (70.0, 50.0), "roi": (50, 40, WIDTH, HEIGHT)},
+            (120, 124, 20, 10),
+        ),
+        (
+            {"size": (160, 120), "centre": (80.0, 60.0), "roi": (50, 40, 2 * WIDTH, 2 * HEIGHT),
+             "binning": 2},
+            (60, 62, 14.75, 9.75),
+        ),
+        ({"binning": 4, "centre": (16.0, 12.0)}, (120, 124, 16, 12)),  # applied by the driver
+    ],
+)  # fmt: skip
+def test_binning_and_region_of_interest_are_applied(
+    tmp_path: Path, options: dict[str, Any], expected: tuple[float, ...]
+) -> None:
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO, **{"fx": 120.0, "fy": 124.0, "centre": (63.5, 47.5), **options})
+        bag.image(TOPIC, time_ns(0), ramp(), "16UC1")
+    camera = registry.open_dataset(path).intrinsics
+    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == expected
+
+
+def test_decimated_depth_names_the_option_that_helps(tmp_path: Path) -> None:
+    with writing(tmp_path, "mcap") as (bag, path):
+        size = (4 * WIDTH, 4 * HEIGHT)
+        bag.camera(INFO, size=size, fx=120.0, fy=124.0, centre=(63.5, 47.5))
+        bag.image(TOPIC, time_ns(0), ramp(), "16UC1")
+    said = refusal("bag", path)
+    assert f"found a camera of 128x96 pixels, expected 32x24 as {TOPIC}; if the images" in said
+    option = "give --set dataset.options.intrinsics=[30,31,15.5,11.5]"
+    assert said.endswith(option)
+    assert registry.open_dataset(path, "bag", {"intrinsics": [30, 31, 15.5, 11.5]}).frame(0)

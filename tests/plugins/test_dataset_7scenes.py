@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from datasets import check_dataset
 
 from slam_bof import ports
 from slam_bof.errors import DatasetError
@@ -227,15 +228,32 @@ def test_frames_of_different_sizes_are_refused(folder: Path) -> None:
         (np.eye(3), "found 9 numbers, expected 16: a pose"),
     ],
 )
-def test_what_is_no_pose_is_refused(folder: Path, pose: object, message: str) -> None:
+def test_what_is_no_pose_is_unknown(
+    folder: Path, caplog: pytest.LogCaptureFixture, pose: object, message: str
+) -> None:
     write_frame(folder, 2, pose=pose)
-    assert f"frame-000002.pose.txt: {message}" in refusal(folder)
+    groundtruth = SevenScenes.open(folder).groundtruth()
+    assert groundtruth is not None
+    assert np.isnan(groundtruth.poses).all(axis=(1, 2)).tolist() == [False, False, True, False]
+    assert f"1 of 4 poses are unknown or left out; the first: frame-000002.pose.txt: {message}" in (
+        caplog.text
+    )
 
 
-def test_words_in_a_pose_file_are_refused(folder: Path) -> None:
-    (folder / "frame-000001.pose.txt").write_text("1 0 0 -1.#IND\n" * 4)
-    said = refusal(folder)
-    assert "frame-000001.pose.txt: could not convert string to float: '-1.#IND'" in said
+@pytest.mark.parametrize("text", ["", "1 0 0 -1.#IND\n" * 4, "lost\n"])
+def test_a_pose_file_without_a_pose_is_of_an_unknown_pose(
+    folder: Path, caplog: pytest.LogCaptureFixture, text: str
+) -> None:
+    (folder / "frame-000001.pose.txt").write_text(text)
+    dataset = SevenScenes.open(folder)
+    check_dataset(dataset)
+    groundtruth = dataset.groundtruth()
+    assert groundtruth is not None
+    assert np.isnan(groundtruth.poses[1]).all()
+    assert "frame-000001.pose.txt: " in caplog.text
+    for file in folder.glob("*.pose.txt"):
+        file.write_text(text)
+    assert SevenScenes.open(folder).groundtruth() is None
 
 
 def test_a_png_of_many_chunks_is_whole(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,89 @@ def test_images_received_at_once_are_told_apart(tmp_path: Path, form: str) -> No
     dataset = registry.open_dataset(write(tmp_path, form, received_ns=time_ns(9)))
     for number in (2, 0, 3, 1):
         np.testing.assert_array_equal(dataset.frame(number).depth, ramp(number))
+
+
+@pytest.mark.parametrize(
+    ("spelling", "unit_m"), [("Depth Units", 0.00025), ("Depth_Units", 0.0001)]
+)
+def test_a_realsense_bag_states_its_unit(tmp_path: Path, spelling: str, unit_m: float) -> None:
+    topic = "/device_0/sensor_0/Depth_0/image/data"
+    with writing(tmp_path, "ros1") as (bag, path):
+        for sensor, value in ((0, unit_m), (1, 1.0)):  # the colour camera has such an option too
+            option = f"/device_0/sensor_{sensor}/option/{spelling}/value"
+            bag.write(option, time_ns(0), bag.make("std_msgs/msg/Float32", data=value))
+        bag.camera("/device_0/sensor_0/Depth_0/info/camera_info")
+        bag.image(topic, time_ns(0), ramp(), "mono16")
+    dataset = registry.open_dataset(path)
+    np.testing.assert_allclose(dataset.frame(0).depth_m(), ramp() * unit_m, rtol=1e-6)
+    other = registry.open_dataset(path, "bag", {"depth_scale": 2000})
+    np.testing.assert_allclose(other.frame(0).depth_m(), ramp() / 2000, rtol=1e-6)
+
+
+def test_floats_in_millimetres_are_scaled_by_an_option(tmp_path: Path) -> None:
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.image(TOPIC, time_ns(0), ramp().astype(np.float32), "32FC1")
+    assert registry.open_dataset(path).frame(0).depth_m().max() > 1000
+    frame = registry.open_dataset(path, "bag", {"depth_scale": 1000}).frame(0)
+    np.testing.assert_allclose(frame.depth_m(), ramp() / 1000, rtol=1e-6)
+
+
+# Parts
+
+
+def write_parts(folder: Path, form: str, names: list[str], *, pause_s: float = 0.0) -> Path:
+    """Three images in each file; the camera only in the first, as latched topics are."""
+    walk = folder / "walk"
+    walk.mkdir()
+    for part, name in enumerate(names):
+        with writing(folder, form) as (bag, path):
+            if part == 0:
+                bag.camera(INFO)
+            for number in range(3 * part, 3 * part + 3):
+                bag.image(TOPIC, time_ns(number) + int(part * pause_s * 1e9), ramp(number), "16UC1")
+        file = path if path.is_file() else next(path.glob("*.mcap"))
+        file.rename(walk / name)
+        if path.is_dir():
+            shutil.rmtree(path)
+    return walk
+
+
+@pytest.mark.parametrize(
+    ("form", "names"),
+    [
+        ("ros1", [f"walk_2023-06-14-10-00-0{9 - k}_{k}.bag" for k in range(3)]),
+        ("mcap", [f"walk_{k}.mcap" for k in (9, 10, 11)]),
+    ],
+)
+def test_the_parts_of_a_recording_are_one_sequence(
+    tmp_path: Path, form: str, names: list[str]
+) -> None:
+    walk = write_parts(tmp_path, form, names)
+    assert "in 3 parts" in registry.recognise_dataset(walk).why
+    dataset = registry.open_dataset(walk)
+    check_dataset(dataset)
+    assert (len(dataset), dataset.sequence.rpartition("/")[2]) == (9, "walk")
+    for number in (0, 8, 4, 5):
+        np.testing.assert_array_equal(dataset.frame(number).depth, ramp(number))
+
+
+def test_recordings_that_do_not_follow_each_other_are_no_parts(tmp_path: Path) -> None:
+    walk = write_parts(tmp_path, "ros1", ["run_1.bag", "run_2.bag"], pause_s=60.0)
+    said = refusal("bag", walk)
+    assert "found 2 bags that are 60 s apart or overlap, expected the parts of one" in said
+    assert f"give one of them, such as {walk / 'run_1.bag'}" in said
+
+
+def test_a_bag_that_was_not_closed_or_is_in_capitals_names_the_way(tmp_path: Path) -> None:
+    bag = write(tmp_path, "ros1")
+    active = bag.rename(tmp_path / "toy.bag.active")
+    assert "rename it to toy.bag and run: rosbag reindex toy.bag" in refusal("auto", active)
+    loud = active.rename(tmp_path / "TOY.BAG")
+    assert "found a name in capitals, expected small letters; rename it to TOY.bag" in (
+        refusal("auto", loud)
+    )
+    assert "rename it to TOY.bag" in refusal("auto", tmp_path)
 
 
 # Damage

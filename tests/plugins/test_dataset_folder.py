@@ -28,6 +28,10 @@ def write(folder: Path, names: list[str], **more: object) -> Path:
     return folder
 
 
+NEAR_2021 = [1617685268.17738, 1617685268.210745]
+"""A thirtieth of a second in April 2021."""
+
+
 def stamps(folder: Path) -> list[float]:
     dataset = registry.open_dataset(folder)
     return [dataset.frame(i).stamp_s for i in range(len(dataset))]
@@ -57,10 +61,49 @@ def test_obeys_the_contract(tmp_path: Path, names: list[str]) -> None:
         (["1628069033660061000.png", "1628069034000000000.png"], [1628069033.660061, 1628069034]),
         (["depth/img9.png", "depth/img10.png"], [0.9, 1.0]),
         (["depth/one.png", "depth/two.png"], [0.0, 0.1]),
+        (["depth/1617685268177380.png", "depth/1617685268210745.png"], NEAR_2021),
+        (["depth/1617685268177.png", "depth/1617685268211.png"], [1617685268.177, 1617685268.211]),
+        (["depth/1617685268.png", "depth/1617685269.png"], [1617685268.0, 1617685269.0]),
+        (["depth/depth_1617685268.17738.png", "depth/depth_1617685268.210745.png"], NEAR_2021),
+        (["depth/1617685268210745_depth.png", "depth/1617685268177380_depth.png"], NEAR_2021),
+        (["depth/d455_Depth_1617685268177.38.png", "depth/d455_Depth_1617685268210.745.png"],
+         NEAR_2021),
+        (["depth/_Depth_9990.5.png", "depth/_Depth_10023.5.png"], [9.9905, 10.0235]),
+        (["depth/1617685268_177380000.png", "depth/1617685268_210745000.png"], NEAR_2021),
+        (["depth/1617685268-998.png", "depth/1617685269-031.png"],
+         [1617685268.998, 1617685269.031]),
+        (["depth/1617685268_000008.png", "depth/1617685268_000009.png"], [0.8, 0.9]),
+        (["depth/cam1_frame9_z16.png", "depth/cam1_frame10_z16.png"], [0.9, 1.0]),
+        (["depth/2021-04-06_05-01-08.998.png", "depth/2021-04-06_05-01-09.031.png"],
+         [1617685268.998, 1617685269.031]),
+        (["depth/20210406_050108.png", "depth/20210406_050109.png"], [1617685268.0, 1617685269.0]),
+        (["depth/2021-04-06_05-01-08_000008.png", "depth/2021-04-06_05-01-08_000009.png"],
+         [0.8, 0.9]),
+        (["depth/0000000008.png", "depth/0000000009.png"], [0.8, 0.9]),
     ],
 )  # fmt: skip
 def test_times_come_from_names(tmp_path: Path, names: list[str], expected: list[float]) -> None:
     assert stamps(write(tmp_path, names, fps=10)) == pytest.approx(expected, abs=1e-6)
+
+
+@pytest.mark.parametrize("units_per_s", [1e3, 1e6, 1e9])
+def test_the_unit_of_listed_times_is_told_by_magnitude(tmp_path: Path, units_per_s: float) -> None:
+    folder = write(tmp_path, ["depth/1.png", "depth/2.png"])
+    lines = [f"{round(stamp_s * units_per_s)}\n" for stamp_s in (1617685268.177, 1617685268.211)]
+    (folder / "timestamps.txt").write_text("".join(lines))
+    assert stamps(folder) == pytest.approx([1617685268.177, 1617685268.211], abs=1e-6)
+
+
+def test_true_poses_of_another_clock_are_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = write(tmp_path, ["depth/1.png", "depth/2.png"])
+    write_tum(folder / "groundtruth.txt", trajectory([1000.0, 1000.1]))
+    assert registry.open_dataset(folder).groundtruth() is None
+    assert (
+        "groundtruth.txt: no pose near 2 of 2 frames (poses from 1000.000 to 1000.100 s, frames "
+        "from 0.033 to 0.067 s)"
+    ) in caplog.text
 
 
 def test_times_come_from_a_list(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -127,7 +170,10 @@ def test_colour_beside_depth(tmp_path: Path) -> None:
         ("{", "intrinsics.json: found no JSON object ("),
         ("[]", "intrinsics.json: found no JSON object (a list), expected a camera"),
         ('{"width": 32}', "key 'height': found none, expected one"),
-        (json.dumps({**CAMERA, "fx": -1}), "key 'fx': found -1, input should be greater than 0"),
+        (
+            json.dumps({**CAMERA, "fx": -1}),
+            "found a focal length fx of -1 px for an image of 32x24",
+        ),
         (json.dumps({**CAMERA, "depth_scale": 0.001}), "it is units a metre, such as 1000"),
         (json.dumps({**CAMERA, "width": 64}), "found 32x24 pixels, expected 64x24"),
     ],

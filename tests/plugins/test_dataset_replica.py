@@ -9,6 +9,8 @@ from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal, write_pn
 
 from slam_bof.core import registry
 
+EYE = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
+
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
@@ -66,15 +68,30 @@ def test_frames_keep_their_poses_where_some_are_missing(scene: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n", "found 1 poses, expected one for each frame"),
-        ("1 2 3\n" * 3, "traj.txt, line 1: cannot reshape array of size 3"),
-        ("2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1\n" * 3, "found a matrix that is no rotation"),
-        ("x " * 16 + "\n" * 3, "found 1 poses"),
+        (f"{EYE}\n\n{EYE}\n", "line 2: found 0 numbers, expected 16"),
+        (f"{EYE}\n1 2 3\n{EYE}\n", "line 2: found 3 numbers, expected 16"),
+        (f"{EYE}\n2 0 0 0 0 2 0 0 0 0 2 0 0 0 0 1\n{EYE}\n", "line 2: found a matrix that is no"),
+        (f"{EYE}\n{'nan ' * 16}\n{EYE}\n", "line 2: found NaN"),
+        (f"{EYE}\n{'x ' * 16}\n{EYE}\n", "line 2: could not convert string to float: 'x'"),
     ],
 )
-def test_poses_that_are_none_are_refused(scene: Path, text: str, message: str) -> None:
+def test_poses_that_are_none_are_unknown(
+    scene: Path, caplog: pytest.LogCaptureFixture, text: str, message: str
+) -> None:
     (scene / "traj.txt").write_text(text)
-    assert message in refusal("replica", scene)
+    groundtruth = registry.open_dataset(scene).groundtruth()
+    assert groundtruth is not None
+    assert np.isnan(groundtruth.poses).all(axis=(1, 2)).tolist() == [False, True, False]
+    assert message in caplog.text
+
+
+def test_frames_beyond_the_last_pose_have_none(scene: Path) -> None:
+    (scene / "traj.txt").write_text(f"{EYE}\n")
+    groundtruth = registry.open_dataset(scene).groundtruth()
+    assert groundtruth is not None
+    assert np.isfinite(groundtruth.poses).all(axis=(1, 2)).tolist() == [True, False, False]
+    (scene / "traj.txt").write_text("")
+    assert registry.open_dataset(scene).groundtruth() is None
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,7 @@ def write_sens(
     depth_coding: int = 1,
     stamps_us: list[int] | None = None,
     lost: tuple[int, ...] = (),
+    lost_as: float = -np.inf,
     with_color: bool = True,
 ) -> Path:
     """Four frames of ramps; colour of twice the size, its left half red."""
@@ -53,7 +54,7 @@ def write_sens(
     for number in range(N_FRAMES):
         T = pose(number).astype("<f4")
         if number in lost:
-            T[:] = -np.inf
+            T[:] = lost_as
         depth = ramp(number).astype("<u2").tobytes()
         depth = zlib.compress(depth) if depth_coding == 1 else depth
         parts += [T.tobytes(), struct.pack("<4Q", 1, times[number], len(jpeg), len(depth))]
@@ -87,6 +88,14 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     assert known.tolist() == [True, True, False, True]
     np.testing.assert_allclose(groundtruth.poses[3], pose(3), atol=1e-6)
     assert np.isnan(groundtruth.poses[2]).all()
+
+
+def test_a_pose_of_zeros_is_unknown(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = write_sens(tmp_path / "a.sens", lost=(1,), lost_as=0.0)
+    groundtruth = registry.open_dataset(path).groundtruth()
+    assert groundtruth is not None
+    assert np.isnan(groundtruth.poses).all(axis=(1, 2)).tolist() == [False, True, False, False]
+    assert "1 of 4 poses are unknown or left out; the first: frame 1: found a matrix" in caplog.text
 
 
 def test_colour_is_brought_to_depth(tmp_path: Path) -> None:

@@ -136,7 +136,7 @@ def test_split_files_that_are_none_are_refused(root: Path) -> None:
         ("scene.txt", "", "scene.txt: found '', expected one word: a scene"),
         ("scene.txt", "two words", "expected one word: a scene"),
         ("intrinsics.txt", "1 2 3", "intrinsics.txt: found [1.0, 2.0, 3.0], expected 9 numbers"),
-        ("intrinsics.txt", "0 0 0 0 0 0 0 0 0", "expected 9 numbers: fx 0 cx 0 fy cy 0 0 1"),
+        ("intrinsics.txt", "0 0 0 0 0 0 0 0 0", "intrinsics.txt: found a focal length fx of 0 px"),
         ("intrinsics.txt", "f", "could not convert string to float: 'f', expected 9 numbers"),
         ("depth/0000000.png", "text", "0000000.png: found no PNG file, expected a 16-bit"),
     ],

@@ -76,8 +76,11 @@ def test_cameras_as_published(
 
 
 def test_a_camera_of_ones_own(folder: Path) -> None:
-    camera = registry.open_dataset(folder, "auto", {"intrinsics": [1, 2, 3, 4]}).intrinsics
-    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (1, 2, 3, 4)
+    camera = registry.open_dataset(folder, "auto", {"intrinsics": [31, 32, 13, 14]}).intrinsics
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (31, 32, 13, 14)
+    assert refusal("tum", folder, intrinsics=[31, 32, 130, 14]).startswith(
+        "dataset.options.intrinsics: found the principal point at cx = 130 px"
+    )
 
 
 def test_saturated_depth_is_missing(folder: Path) -> None:

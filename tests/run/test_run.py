@@ -12,6 +12,7 @@ import pytest
 
 from slam_bof import DepthFrame, LoopCloser
 from slam_bof.core import registry
+from slam_bof.errors import FrameError
 from slam_bof.geometry import read_kitti, read_tum
 from slam_bof.run import run_sequence
 from slam_bof.slam import preset
@@ -204,11 +205,38 @@ def test_stamps_must_grow():
             closer.process(replace(frame, stamp_s=stamp_s), np.eye(4))
 
 
+def test_a_stamp_from_the_future_is_not_the_clock():
+    frame = DepthFrame(1.7e9, np.zeros((480, 640), np.uint16), KINECT)
+    closer = LoopCloser.from_preset("indoor")
+    closer.process(frame, np.eye(4))
+    with pytest.raises(FrameError, match=r"must be in seconds, got 17315\d+.0 s more than a day"):
+        closer.process(replace(frame, stamp_s=1.7e9 + 3.15e7), np.eye(4))
+    closer.process(replace(frame, stamp_s=1.7e9 + 0.1), np.eye(4))
+    # A clock that has really moved is followed, at the cost of one frame.
+    with pytest.raises(FrameError):
+        closer.process(replace(frame, stamp_s=1.8e9), np.eye(4))
+    closer.process(replace(frame, stamp_s=1.8e9 + 0.1), np.eye(4))
+    assert closer.finish().stamps_s.tolist() == [1.7e9, 1.7e9 + 0.1, 1.8e9 + 0.1]
+
+
+def test_a_camera_whose_focus_moves_is_one_camera(box_room_frame):
+    closer = LoopCloser.from_preset("indoor")
+    camera = box_room_frame.intrinsics
+    for k, change in enumerate((0.0, 1e-15, 0.001, -0.004)):
+        focal = camera.fx * (1 + change)
+        moved = replace(camera, fx=focal, fy=focal, cx=camera.cx + 100 * change)
+        closer.process(replace(box_room_frame, stamp_s=float(k), intrinsics=moved), np.eye(4))
+    zoomed = replace(box_room_frame, stamp_s=9.0, intrinsics=replace(camera, fx=camera.fx * 1.006))
+    with pytest.raises(FrameError, match="frames must all be of"):
+        closer.process(zoomed, np.eye(4))
+    assert len(closer.finish()) == 4
+
+
 def test_frames_are_of_one_camera(box_room_frame):
     closer = LoopCloser.from_preset("indoor")
     closer.process(box_room_frame, np.eye(4))
     zoomed = replace(box_room_frame.intrinsics, fx=box_room_frame.intrinsics.fx * 2)
-    other = replace(box_room_frame, stamp_s=1e6, intrinsics=zoomed)
+    other = replace(box_room_frame, stamp_s=1e3, intrinsics=zoomed)
     with pytest.raises(ValueError, match=r"frames must all be of Intrinsics.*, got one of Intrin"):
         closer.process(other, np.eye(4))
     assert len(closer.finish()) == 1
@@ -219,6 +247,7 @@ BAD_POSES = {
     "rotation .determinant 8": np.diag([2.0, 2.0, 2.0, 1.0]),
     "rotation .determinant -1": np.diag([-1.0, 1.0, 1.0, 1.0]),
     r"\(4,\)": np.ones(4),
+    r"\(3, 4\) matrix, expected \(4, 4\): its last row is 0 0 0 1": np.eye(4)[:3],
 }
 
 

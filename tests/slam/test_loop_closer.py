@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from slam_bof.bof import LayerParams, PlaceParams, descriptors
+from slam_bof.errors import ConfigError
 from slam_bof.geometry import se3
 from slam_bof.scenes import TrainingFrame, model as models, train_model
 from slam_bof.slam import LoopCloser, preset
@@ -89,3 +90,23 @@ def test_who_stands_where_another_stood_is_not_searched_for(look, standpoint):
     assert without[2, 1] > 5
     assert found[2, 1] < without[2, 1]
     assert found[2, 0] >= without[2, 0]
+
+
+def test_a_camera_at_rest_costs_nothing(look, standpoint):
+    T_world_camera = np.eye(4)
+    T_world_camera[:3] = [[0, 0, 1, standpoint[0]], [-1, 0, 0, standpoint[1]], [0, -1, 0, 1.3]]
+    closer = LoopCloser.from_preset("indoor")
+    for k in range(60):
+        closer.process(look(T_world_camera, k), np.eye(4))
+    assert len(closer.map.keyframes) == 1
+    assert len(closer.map.loops) == 0
+    assert np.abs(closer.finish().poses - np.eye(4)).max() < 0.005
+
+
+def test_a_preset_is_named_where_a_configuration_is_expected(tmp_path):
+    (tmp_path / "my.yaml").write_text("keyframes: {policy: every}")
+    assert LoopCloser.from_config("paper")._selector.params.policy == "every"
+    assert LoopCloser.from_config(str(tmp_path / "my.yaml"))._selector.params.policy == "every"
+    assert LoopCloser.from_config(tmp_path / "my.yaml")._selector.params.policy == "every"
+    with pytest.raises(ConfigError, match="no preset 'outdoor'"):
+        LoopCloser.from_config("outdoor")

@@ -108,6 +108,7 @@ def test_one_keyframe_with_all_that_is_known_of_it(store: MapStore) -> None:
     (record,) = query_keyframes(store, keyframe_id=3)
     assert asdict(record) == {
         "id": 3,
+        "component": 0,
         "frame_index": 90,
         "stamp_s": 103.0,
         "scene": "office",

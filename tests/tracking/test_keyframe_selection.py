@@ -25,9 +25,12 @@ def test_first_frame_is_always_a_keyframe():
     [
         ([moved(x_m=0.04 * i) for i in range(8)], [0, 3, 6]),
         ([moved(yaw_rad=0.09 * i) for i in range(8)], [0, 3, 6]),
-        ([moved() for _ in range(8)], [0, 5]),
+        ([moved(x_m=0.003 * i) for i in range(8)], [0, 5]),
+        ([moved(yaw_rad=0.003 * i) for i in range(8)], [0, 5]),
+        ([moved(x_m=0.004 * (i % 2), yaw_rad=0.004 * (i % 3 == 0)) for i in range(50)], [0]),
+        ([moved() for _ in range(40)] + [moved(x_m=0.012), moved(x_m=0.012)], [0, 40]),
     ],
-    ids=["distance", "angle", "cap on the gap"],
+    ids=["distance", "angle", "slow", "slow turn", "at rest", "at rest, then slow"],
 )
 def test_motion_policy_keeps_what_moved_enough(poses, expected):
     params = KeyframeParams(policy="motion", distance_m=0.1, angle_rad=0.25, max_gap=5)

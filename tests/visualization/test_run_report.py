@@ -129,7 +129,7 @@ def test_the_page_has_every_figure(tmp_path: Path, data: ReportData) -> None:
         "Trajectory", "Position error", "Loop candidates", "Scene labels", "Time", "All metrics",
     ]  # fmt: skip
     assert set(plots(html)) == {
-        "top-view", "space-view", "errors", "candidates", "labels", "stages",
+        "top-view", "space-view", "errors", "candidates", "reasons", "labels", "stages",
     }  # fmt: skip
 
 

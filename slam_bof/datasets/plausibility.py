@@ -1,0 +1,97 @@
+"""What a sequence assumes about its camera and its unit of depth, checked before a run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from slam_bof.errors import DatasetError
+from slam_bof.ports import Dataset
+from slam_bof.types import Intrinsics
+
+__all__ = ["find_doubts"]
+
+N_FRAMES = 5
+"""Number of frames that are looked at."""
+MIN_DEPTH_M, MAX_DEPTH_M = 0.1, 8.0
+"""Depth that is used."""
+TYPICAL_DEPTH_M = 2.0
+"""Median depth of a room. Of several units that fit, the one that comes nearest is listed first."""
+MIN_PLAUSIBLE = 0.9
+"""Least share of the depth that a unit must bring into the range to be named."""
+TOO_FAR = {
+    4.0: "units of 0.25 mm, as of RealSense L515",
+    5.0: "units of 0.2 mm, as in TUM's files",
+    10.0: "units of 0.1 mm, as of RealSense D405",
+    1000.0: "millimetres read as metres",
+}
+TOO_NEAR = {
+    1 / 5: "millimetres read as units of 0.2 mm",
+    1 / 1000: "metres read as millimetres",
+}
+"""Factors by which depth is wrong if its unit is, and the usual cause."""
+SWAPPED = 0.25
+"""The principal point is swapped if this fits the transposed image so many times better."""
+
+
+def find_doubts(dataset: Dataset) -> list[str]:
+    """Return sentences on what is implausible about a sequence, for warnings.
+
+    Depth is in doubt if more than half of it, in a few frames, lies outside of 0.1 to 8 m; then
+    its unit is probably another. A camera is in doubt whose principal point fits the image turned
+    by 90 degrees much better.
+    """
+    return [*_doubt_depth(_sample(dataset)), *_doubt_camera(dataset.intrinsics)]
+
+
+def _sample(dataset: Dataset) -> NDArray[np.float32]:
+    """Return all depths of a few frames, (N,) in metres."""
+    depths = [np.empty(0, np.float32)]
+    for index in np.unique(np.linspace(0, len(dataset) - 1, N_FRAMES).astype(int)).tolist():
+        try:
+            depth_m = dataset.frame(index).depth_m(4)
+        except DatasetError:
+            continue  # the run says so
+        depths.append(depth_m[depth_m > 0])
+    return np.concatenate(depths)
+
+
+def _doubt_depth(depth_m: NDArray[np.float32]) -> Iterator[str]:
+    if len(depth_m) == 0:
+        return
+    near, far = np.mean(depth_m < MIN_DEPTH_M), np.mean(depth_m > MAX_DEPTH_M)
+    if near + far <= 0.5:
+        return
+    where = f"{near:.0%} of all depth is below {MIN_DEPTH_M:g} m"
+    if far > near:
+        where = f"{far:.0%} of all depth is beyond {MAX_DEPTH_M:g} m"
+    median_m = float(np.median(depth_m))
+    likely = [
+        (abs(np.log(median_m / factor / TYPICAL_DEPTH_M)), factor, cause)
+        for factor, cause in (TOO_FAR if far > near else TOO_NEAR).items()
+        if _plausible(depth_m / factor) >= MIN_PLAUSIBLE
+    ]
+    listed = " or ".join(f"divided by {factor:g} ({cause})" for _, factor, cause in sorted(likely))
+    yield (
+        f"{where} (median {median_m:.3g} m), which is not used: the unit of depth is probably wrong"
+        + (f"; depth would fit a room if {listed}" if listed else "")
+        + "; depth_scale, the units per metre, is an option of bags and a key of intrinsics.json"
+    )
+
+
+def _plausible(depth_m: NDArray[np.float32]) -> float:
+    return float(np.mean((depth_m >= MIN_DEPTH_M) & (depth_m <= MAX_DEPTH_M)))
+
+
+def _doubt_camera(camera: Intrinsics) -> Iterator[str]:
+    center = np.array([camera.cx, camera.cy]) + 0.5
+    size = np.array([camera.width, camera.height])
+    off = np.abs(center - size / 2).sum()
+    if np.abs(center - size[::-1] / 2).sum() < SWAPPED * off:
+        yield (
+            f"the principal point ({camera.cx:g}, {camera.cy:g}) is that of an image of "
+            f"{camera.height}x{camera.width} pixels, but the images have "
+            f"{camera.width}x{camera.height}: are cx and cy swapped?"
+        )
