@@ -13,6 +13,7 @@ from .constellation import (
     ConstellationParams as ConstellationParams,
     PlacedBofs as PlacedBofs,
     describe_constellation as describe_constellation,
+    place_bofs as place_bofs,
 )
 from .constellation_consensus import (
     Motions as Motions,

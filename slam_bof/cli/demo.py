@@ -27,7 +27,8 @@ def demo(
     folder = _cache() / (f"seed-{seed}" + (f"-first-{max_frames}" if max_frames else ""))
     with Bar("Making a flat", quiet=quiet) as bar:
         sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
-    config = configs.preset("indoor").model_copy(update={"seed": seed})
+    # The flat is drawn, as are the rooms that this model has learnt from and is right about.
+    config = configs.preset("indoor").model_copy(update={"seed": seed, "model": "synthetic"})
     run_new(
         sequence, config, out, max_frames=max_frames, with_color=True, quiet=quiet, as_json=as_json
     )

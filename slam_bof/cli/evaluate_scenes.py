@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slam_bof.cli.options import EVERY, JSON, N_WORDS, QUIET, SEED
+from slam_bof.cli.evaluate_groups import GroupOptions, cross_validate, score_model
+from slam_bof.cli.options import CAMERA, COPIES, EVERY, JSON, N_WORDS, QUIET, SEED
+from slam_bof.cli.scene_results import print_results, result_figures
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["scenes"]
 
 METHODS = "ours,bof,sift,orb,gist,gist-depth,gist+gist-depth,thumbnail"
-Protocol = Literal["holdout", "time-split", "unseen", "sunrgbd", "tour", "synthetic"]
+Protocol = Literal["holdout", "time-split", "unseen", "sunrgbd", "tour", "synthetic", "groups"]
 
 
 def scenes(
@@ -32,7 +33,9 @@ def scenes(
             "(Table 3). "
             "sunrgbd: the official split (Tables 4, 5). "
             "tour: train on one day, test on another (Table 6, Figure 9). "
-            "synthetic: test on other rooms than those of training, made in memory."
+            "synthetic: test on other rooms than those of training, made in memory. "
+            "groups: cross-validation by the groups (rooms) of single labelled images, or with "
+            "--model a test of a model on all of them."
         ),
     ],
     label: Annotated[
@@ -45,8 +48,32 @@ def scenes(
     ] = None,
     csv: Annotated[
         Path | None,
-        typer.Option(help="CSV file with rows path,label, as for train."),
+        typer.Option(help="CSV file with rows path,label or, for groups, with a header, as train."),
     ] = None,
+    camera: CAMERA = None,
+    model: Annotated[
+        str | None,
+        typer.Option(help="For groups: test this model, a file, default or synthetic, instead."),
+    ] = None,
+    only: Annotated[
+        str | None,
+        typer.Option(
+            "--classes", help="For groups: use only images of these classes, separated by commas."
+        ),
+    ] = None,
+    folds: Annotated[int, typer.Option(min=2, help="For groups: number of folds.")] = 5,
+    repeats: Annotated[
+        int, typer.Option(min=1, help="For groups: how many times folds are drawn.")
+    ] = 3,
+    copies: COPIES = 3,
+    share: Annotated[
+        float,
+        typer.Option(
+            min=0.01,
+            max=1.0,
+            help="For groups: share of the rooms of training that is used, for a learning curve.",
+        ),
+    ] = 1.0,
     data: Annotated[Path | None, typer.Option(help="For sunrgbd: folder of the data set.")] = None,
     train: Annotated[
         list[Path] | None,
@@ -59,12 +86,13 @@ def scenes(
         ),
     ] = None,
     methods: Annotated[
-        str,
+        str | None,
         typer.Option(
-            help="Methods, separated by commas: ours, descriptor plug-ins, A+B for two joined, "
+            help="For groups: profile, words, tokens, profile+tokens, bag:linear, bag:rbf or ours. "
+            "Else methods, separated by commas: ours, descriptor plug-ins, A+B for two joined, "
             "A:mlp for another classifier than an RBF SVM (see train --classifier)."
         ),
-    ] = METHODS,
+    ] = None,
     every: EVERY = 1,
     train_rooms: Annotated[
         int, typer.Option(min=2, help="For synthetic: rooms per class to train with.")
@@ -88,7 +116,17 @@ def scenes(
     from slam_bof.visualization import write_comparison
 
     _check_options(protocol, label=label, csv=csv, data=data, train=train, test=test)
-    chosen = make_methods([name.strip() for name in methods.split(",")], n_words=n_words, seed=seed)
+    if protocol == "groups" and csv is not None:
+        options = GroupOptions(
+            csv, camera, only, methods, folds, repeats, copies, share, n_words, seed
+        )
+        if model is not None:
+            score_model(options, model, as_json=as_json, quiet=quiet)
+        else:
+            cross_validate(options, out, as_json=as_json, quiet=quiet)
+        return
+    names = (methods or METHODS).split(",")
+    chosen = make_methods([name.strip() for name in names], n_words=n_words, seed=seed)
     if protocol == "synthetic":
         from slam_bof.evaluation import split_rooms
 
@@ -108,7 +146,8 @@ def scenes(
     if as_json:
         print_json(_figures(protocol, split, results, left_out, files))
     else:
-        _print(protocol, split, results, left_out, files)
+        title = f"{protocol}: {len(split.train)} frames to train with, {len(split.test)} to test"
+        print_results(title, results, left_out, files)
 
 
 def _check_options(protocol: str, **options: Any) -> None:
@@ -118,6 +157,7 @@ def _check_options(protocol: str, **options: Any) -> None:
         "sunrgbd": {"--data"},
         "synthetic": set(),
         "unseen": {"--label"},
+        "groups": {"--csv"},
         "tour": {"--label", "--csv", "--train", "--test"},
     }
     wanted = uses.get(protocol, {"--label", "--csv"})
@@ -173,43 +213,6 @@ def _split(
     return split_by_time(frames) if protocol == "time-split" else split_at_random(frames, seed=seed)
 
 
-def _print(
-    protocol: str,
-    split: Split,
-    results: Sequence[SceneResult],
-    left_out: dict[str, str],
-    files: Sequence[Path],
-) -> None:
-    from slam_bof.cli.console import print_table
-
-    rows = [
-        (
-            r.method,
-            r.scores.accuracy,
-            r.scores.mean_class_accuracy,
-            r.scores.calibration_error,
-            r.label_ms,
-            r.train_s,
-            1e-6 * r.n_bytes,
-        )
-        for r in results
-    ]
-    columns = ("accuracy", "mean-class", "ECE", "CPU ms per frame", "training CPU s", "model MB")
-    title = f"{protocol}: {len(split.train)} frames to train with, {len(split.test)} to test with"
-    print_table(("method", *columns), rows, title=title)
-    if results:
-        names = [r.method for r in results]
-        by_class = [
-            (c.label, c.n_frames, *(r.scores.by_class[k].recall for r in results))
-            for k, c in enumerate(results[0].scores.by_class)
-        ]
-        print_table(("class", "tested", *names), by_class, title="Recall by class")
-    for name, why in left_out.items():
-        typer.echo(f"{name} is left out: {why}.")
-    for file in files[:1]:
-        typer.echo(f"Page: {file}; {len(files) - 1} confusion matrices in the same folder.")
-
-
 def _figures(
     protocol: str,
     split: Split,
@@ -217,23 +220,7 @@ def _figures(
     left_out: dict[str, str],
     files: Sequence[Path],
 ) -> dict[str, Any]:
-    from slam_bof.evaluation import roc
-
-    methods = {}
-    for r in results:
-        scores = r.scores
-        curves = roc(r.probabilities, r.true, scores.classes)
-        methods[r.method] = {
-            "accuracy": scores.accuracy,
-            "mean_class_accuracy": scores.mean_class_accuracy,
-            "calibration_error": scores.calibration_error,
-            "label_ms": r.label_ms,
-            "train_s": r.train_s,
-            "n_bytes": r.n_bytes,
-            "by_class": [asdict(of_class) for of_class in scores.by_class],
-            "auc": {curve.label: curve.auc for curve in curves},
-            "confusion": scores.confusion.tolist(),
-        }
+    methods = {result.method: result_figures(result) for result in results}
     return {
         "protocol": protocol,
         "n_train": len(split.train),

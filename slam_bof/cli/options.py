@@ -11,7 +11,9 @@ from typer.core import TyperCommand
 from slam_bof.errors import ConfigError
 
 __all__ = [
+    "CAMERA",
     "COMPONENT",
+    "COPIES",
     "DEPTH_SCALE",
     "EVERY",
     "FORMAT",
@@ -56,6 +58,22 @@ COMPONENT = Annotated[
 ]
 SEED = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 N_WORDS = Annotated[int, typer.Option("--words", min=2, help="Words in each vocabulary.")]
+CAMERA = Annotated[
+    Path | None,
+    typer.Option(
+        help="For images listed with groups: JSON with width, height, fx, fy, cx, cy (px), "
+        "depth_scale (units a metre) and depth_offset (units to add before); by default "
+        "intrinsics.json beside each image.",
+    ),
+]
+COPIES = Annotated[
+    int,
+    typer.Option(
+        min=0,
+        help="For images listed with groups: copies of each training image as other sensors would "
+        "have measured it.",
+    ),
+]
 FORMAT = Annotated[Format, typer.Option("--format", help="How to print the answer.")]
 INTRINSICS = Annotated[
     str | None,

@@ -200,7 +200,7 @@ def loops(
 @app.command(cls=NumbersCommand)
 def image(
     path: Annotated[Path, typer.Argument(metavar="IMAGE", help="A depth image.")],
-    model: Annotated[str, typer.Option(help="The model file, or default.")] = "default",
+    model: Annotated[str, typer.Option(help="The model file, default or synthetic.")] = "default",
     map_: Annotated[
         Path | None,
         typer.Option("--map", metavar="MAP", help="Take camera and unit of depth from this map."),

@@ -62,7 +62,7 @@ def run(
             "recognised. Set its options with --set dataset.options.KEY=VALUE."
         ),
     ] = None,
-    model: Annotated[str | None, typer.Option(help="Model file, or default.")] = None,
+    model: Annotated[str | None, typer.Option(help="Model file, default or synthetic.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.")] = None,
     frames: FRAMES = None,
     max_frames: MAX_FRAMES = None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from slam_bof.cli.options import EVERY, JSON, N_WORDS, QUIET, SEED
+from slam_bof.cli.options import CAMERA, COPIES, EVERY, JSON, N_WORDS, QUIET, SEED
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -32,9 +32,13 @@ def train(
     csv: Annotated[
         Path | None,
         typer.Option(
-            help="CSV file with rows path,label; sequences or depth images, relative to the file."
+            help="CSV file with rows path,label; sequences or depth images, relative to the file. "
+            "Or with a header: file, scene, group (the room) and, if known, R00 to R22 (camera to "
+            "level, y down), one depth image a row; some rooms are then kept to test with."
         ),
     ] = None,
+    camera: CAMERA = None,
+    copies: COPIES = 3,
     descriptor: Annotated[
         str | None,
         typer.Option(
@@ -67,7 +71,8 @@ def train(
         bool,
         typer.Option(
             "--check/--no-check",
-            help="First train on 60 % of each sequence and test on its end, after a gap.",
+            help="First train on 60 % of each sequence and test on its end, after a gap; of "
+            "images with groups, train on three quarters of the rooms and test on the others.",
         ),
     ] = True,
     seed: SEED = 0,
@@ -96,21 +101,32 @@ def train(
         raise ConfigError("found neither --label nor --csv, expected --label NAME=PATH")
     from slam_bof.bof import LayerParams, PlaceParams
     from slam_bof.cli.console import Bars
-    from slam_bof.datasets import frames_of, open_labelled, parse_label, read_label_file
+    from slam_bof.datasets import (
+        frames_of,
+        has_groups,
+        open_labelled,
+        parse_label,
+        read_image_table,
+        read_label_file,
+    )
     from slam_bof.evaluation import train_scene_model
     from slam_bof.scenes import model as models
 
     _check_out(out)
     sequences = [sequence for text in label or [] for sequence in open_labelled(*parse_label(text))]
-    if csv is not None:
+    images = []
+    if csv is not None and has_groups(csv):
+        images = read_image_table(csv, camera_file=camera)
+    elif csv is not None:
         sequences += read_label_file(csv)
     params = PlaceParams()
     if layers is not None:
         params = PlaceParams(layers=LayerParams(n_layers=layers))
     names = sorted({f"{s.dataset.sequence} ({s.label})" for s in sequences})
+    names += [f"{len(images)} images of {csv.name}"] if csv is not None and images else []
     with Bars(quiet=quiet) as bars:
         trained = train_scene_model(
-            frames_of(sequences, every=every),
+            [*frames_of(sequences, every=every), *images],
             params,
             trained_on=", ".join(names),
             n_words=n_words,
@@ -118,6 +134,7 @@ def train(
             classifier=classifier,
             grid_search=grid_search,
             check=check,
+            n_copies=copies if images else 0,
             seed=seed,
             on_progress=bars.show,
         )
@@ -168,7 +185,7 @@ def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
         print_table(
             ("class", "tested", "precision", "recall", "F1"),
             [(c.label, c.n_frames, c.precision, c.recall, c.f1) for c in scores.by_class],
-            title=f"Test frames: the end of each sequence, {trained.n_checked} frames",
+            title=f"Test frames, kept from training: {trained.n_checked}",
         )
         typer.echo(
             f"Accuracy {scores.accuracy:.3f}, "

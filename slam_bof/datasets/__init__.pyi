@@ -21,6 +21,10 @@ from .labelled_frames import (
     read_split as read_split,
     sequence_names as sequence_names,
 )
+from .labelled_images import (
+    has_groups as has_groups,
+    read_image_table as read_image_table,
+)
 from .plausibility import find_doubts as find_doubts
 from .realsense import (
     RealSense as RealSense,

@@ -20,7 +20,7 @@ from slam_bof.types import DepthFrame, Intrinsics
 __all__ = ["CAMERA_FILE", "DepthImages", "is_image", "read_depth_image"]
 
 SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".jpg", ".jpeg")
-"""Suffixes of image files. Images of 8 bits are refused with a message of what is expected."""
+"""Suffixes of image files. Images of 8 bits need a camera file that gives ``depth_scale``."""
 KINECT_FOCAL_PX = 585.0
 """Focal length of the 7-Scenes depth camera, for an image 640 pixels wide."""
 CAMERA_FILE = "intrinsics.json"
@@ -38,19 +38,26 @@ def read_depth_image(
     *,
     intrinsics: Sequence[float] | None = None,
     depth_scale: float | None = None,
+    camera_file: Path | None = None,
     stamp_s: float = 0.0,
 ) -> tuple[DepthFrame, str]:
     """Read a depth image (16-bit PNG or TIFF, or .npy of uint16 or float).
+
+    An image of 8 bits is read where its camera file says ``depth_scale``.
 
     Parameters
     ----------
     path
         The file.
     intrinsics
-        fx, fy, cx, cy in pixels. By default those of ``intrinsics.json`` beside the image (width,
-        height, fx, fy, cx, cy; depth_scale), or else a Kinect's, scaled to the image's width.
+        fx, fy, cx, cy in pixels. By default those of the camera file, or else a Kinect's, scaled
+        to the image's width.
     depth_scale
-        Units a metre; by default that of the file above, or else 1000, and 1 for floats.
+        Units a metre; by default that of the camera file, or else 1000, and 1 for floats.
+    camera_file
+        JSON with width, height, fx, fy, cx, cy in pixels and, if need be, ``depth_scale`` (units a
+        metre) and ``depth_offset`` (units added before scaling). By default ``intrinsics.json``
+        beside the image, where there is one.
     stamp_s
         Time stamp of the frame, in seconds.
 
@@ -68,18 +75,29 @@ def read_depth_image(
     """
     depth = _read(path)
     height, width = depth.shape
-    camera_file = path.parent / CAMERA_FILE
+    beside = path.parent / CAMERA_FILE
+    if camera_file is None and beside.is_file():
+        camera_file = beside
+    offset = 0.0
     if intrinsics is not None:
         fx, fy, cx, cy = intrinsics
         camera = checked_intrinsics(f"--intrinsics for {path}", width, height, fx, fy, cx, cy)
         source = "as given"
-    elif camera_file.is_file():
-        camera, scale = _read_camera(camera_file, width, height)
+    elif camera_file is not None:
+        camera, scale, offset = _read_camera(camera_file, width, height)
         depth_scale, source = depth_scale or scale, f"from {camera_file}"
     else:
         focal_px = KINECT_FOCAL_PX * width / 640.0
         camera = Intrinsics(width, height, focal_px, focal_px, width / 2, height / 2)
         source = f"assumed, a Kinect's; found no {CAMERA_FILE} beside the image"
+    if depth.dtype == np.uint8:
+        if depth_scale is None:
+            raise DatasetError(
+                f"{path}: found an image of 8 bits, expected 16 bits, or a camera file with "
+                "depth_scale, the units a metre"
+            )
+        depth = np.where(depth == 0, 0.0, depth + np.float32(offset)).astype(np.float32)
+        return DepthFrame(stamp_s, depth / np.float32(depth_scale), camera), source
     is_float = depth.dtype.kind == "f"
     scale = depth_scale or (1.0 if is_float else MILLIMETRES)
     if is_float or scale != MILLIMETRES:
@@ -97,8 +115,9 @@ class DepthImages:
 
     name: ClassVar[str] = "images"
 
-    def __init__(self, files: Sequence[Path]) -> None:
+    def __init__(self, files: Sequence[Path], camera_file: Path | None = None) -> None:
         self._files = tuple(files)
+        self._camera_file = camera_file
         self.sequence = files[0].parent.resolve().name
         numbers = [re.search(r"(\d{1,12})\D*$", file.stem) for file in files]
         values = [int(number[1]) if number else 0 for number in numbers]
@@ -112,7 +131,10 @@ class DepthImages:
 
     def frame(self, index: int) -> DepthFrame:
         """Read an image."""
-        return read_depth_image(self._files[index], stamp_s=float(self._stamps_s[index]))[0]
+        stamp_s = float(self._stamps_s[index])
+        return read_depth_image(self._files[index], camera_file=self._camera_file, stamp_s=stamp_s)[
+            0
+        ]
 
     def color(self, index: int) -> None:
         """Return None: no colour."""
@@ -142,7 +164,7 @@ def _read(path: Path) -> NDArray[Any]:
         if read is None:
             raise DatasetError(f"{path}: found no image that can be read, expected 16-bit depth")
         image = np.asarray(read)
-    if image.ndim != 2 or not (image.dtype == np.uint16 or image.dtype.kind == "f"):
+    if image.ndim != 2 or not (image.dtype in (np.uint8, np.uint16) or image.dtype.kind == "f"):
         shape = "x".join(map(str, image.shape))
         raise DatasetError(
             f"{path}: found an image {shape} of {image.dtype}, expected one channel of uint16, "
@@ -151,13 +173,15 @@ def _read(path: Path) -> NDArray[Any]:
     return image
 
 
-def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None]:
+def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None, float]:
+    """Return the camera, the units a metre if given, and the units to add before scaling."""
     try:
         found = json.loads(file.read_text(encoding="utf-8-sig"))
         size = int(found["width"]), int(found["height"])
         fx, fy, cx, cy = (float(found[name]) for name in ("fx", "fy", "cx", "cy"))
         scale = found.get("depth_scale")
         scale = None if scale is None else float(scale)
+        offset = float(found.get("depth_offset", 0.0))
         if scale is not None and not 0 < scale < np.inf:
             raise ValueError("depth_scale is not positive")
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
@@ -168,4 +192,4 @@ def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float
         raise DatasetError(
             f"{file}: found {size[0]}x{size[1]} pixels, expected {width}x{height} as the image"
         )
-    return checked_intrinsics(file, width, height, fx, fy, cx, cy), scale
+    return checked_intrinsics(file, width, height, fx, fy, cx, cy), scale, offset

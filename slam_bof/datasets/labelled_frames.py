@@ -32,11 +32,17 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class LabelledFrame:
-    """A frame of a data set with its scene label."""
+    """A frame of a data set with its scene label.
+
+    ``group`` names the room of a single image, where it is known: images of one group are never
+    on both sides of a split. ``gravity_camera`` is the direction of gravity in the camera frame.
+    """
 
     dataset: Dataset
     index: int
     label: str
+    group: str | None = None
+    gravity_camera: tuple[float, float, float] | None = None
 
     def read(self, *, gray: bool) -> tuple[DepthFrame, NDArray[np.uint8] | None]:
         """Read the depth image, and the grey image where ``gray``."""
@@ -167,10 +173,12 @@ def frames_of(sequences: Iterable[LabelledSequence], *, every: int = 1) -> list[
 
 
 def sequence_names(frames: Sequence[LabelledFrame]) -> list[str]:
-    """Return a unique name of the sequence of each frame."""
+    """Return a unique name of the group of each frame, or of its sequence where it has none."""
     numbers: dict[int, int] = {}
     return [
-        f"{numbers.setdefault(id(frame.dataset), len(numbers))} {frame.dataset.sequence}"
+        f"group {frame.group}"
+        if frame.group is not None
+        else f"{numbers.setdefault(id(frame.dataset), len(numbers))} {frame.dataset.sequence}"
         for frame in frames
     ]
 

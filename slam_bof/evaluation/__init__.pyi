@@ -2,6 +2,10 @@ from .holdout_training import (
     TrainedSceneModel as TrainedSceneModel,
     train_scene_model as train_scene_model,
 )
+from .labeller_scores import (
+    evaluate_labeller as evaluate_labeller,
+    label_figures as label_figures,
+)
 from .localization_metrics import (
     pose_accuracy as pose_accuracy,
 )
@@ -38,6 +42,10 @@ from .scene_benchmark import (
     split_rooms as split_rooms,
     split_sunrgbd as split_sunrgbd,
 )
+from .scene_groups import (
+    GROUP_METHODS as GROUP_METHODS,
+    cross_validate_groups as cross_validate_groups,
+)
 from .scene_methods import (
     make_methods as make_methods,
 )
@@ -52,6 +60,7 @@ from .scene_metrics import (
 from .scene_splits import (
     Split as Split,
     split_at_random as split_at_random,
+    split_by_group as split_by_group,
     split_by_time as split_by_time,
 )
 from .trajectory_metrics import (

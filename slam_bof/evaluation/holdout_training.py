@@ -11,7 +11,7 @@ from slam_bof.bof import PlaceParams
 from slam_bof.datasets import LabelledFrame, sequence_names
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
-from slam_bof.evaluation.scene_splits import Split, split_by_time
+from slam_bof.evaluation.scene_splits import Split, split_by_group, split_by_time
 from slam_bof.scenes import (
     ClassifierName,
     FrameDescriptors,
@@ -55,6 +55,7 @@ def train_scene_model(
     classifier: ClassifierName | None = None,
     grid_search: bool = False,
     check: bool = True,
+    n_copies: int = 0,
     seed: int = 0,
     on_progress: Progress = lambda what, done, total: None,
 ) -> TrainedSceneModel:
@@ -80,7 +81,10 @@ def train_scene_model(
         parameters by cross-validation.
     check
         Whether to train first on the beginning of every sequence and test on its end
-        (``split_by_time``).
+        (``split_by_time``) or, where frames have groups, to keep groups to test with
+        (``split_by_group``).
+    n_copies
+        Copies of each frame as other sensors would have measured it, to train with as well.
     seed
         Seed of all random numbers.
     on_progress
@@ -93,10 +97,15 @@ def train_scene_model(
         than the vocabulary has words.
     """
     params = params or PlaceParams()
-    split = split_by_time(frames) if check else Split(list(frames), list(frames))
+    split = Split(list(frames), list(frames))
+    if check:
+        has_groups = any(frame.group is not None for frame in frames)
+        split = split_by_group(frames, seed=seed) if has_groups else split_by_time(frames)
     split.check()
     levelled = levelled and classifier is None and not grid_search
-    described = describe_frames(_read(frames, on_progress), params, levelled=levelled)
+    described = describe_frames(
+        _read(frames, on_progress), params, levelled=levelled, n_copies=n_copies, seed=seed
+    )
     index = {id(frame): k for k, frame in enumerate(frames)}
     train, test = ([index[id(frame)] for frame in side] for side in (split.train, split.test))
     bag_classifier = None
@@ -184,5 +193,11 @@ def _search_svm(
 def _read(frames: Sequence[LabelledFrame], on_progress: Progress) -> Iterator[TrainingFrame]:
     names = sequence_names(frames)
     for done, (item, group) in enumerate(zip(frames, names, strict=True), start=1):
-        yield TrainingFrame(item.read(gray=False)[0], item.label, group)
+        yield TrainingFrame(
+            item.read(gray=False)[0],
+            item.label,
+            group,
+            None if item.gravity_camera is None else np.array(item.gravity_camera),
+            is_room=item.group is not None,
+        )
         on_progress("Describing", done, len(frames))

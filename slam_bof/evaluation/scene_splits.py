@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam_bof.datasets import LabelledFrame
+from slam_bof.datasets import LabelledFrame, sequence_names
 from slam_bof.errors import DatasetError
 
-__all__ = ["Split", "split_at_random", "split_by_time"]
+__all__ = ["Split", "split_at_random", "split_by_group", "split_by_time"]
 
 GAP_S = 2.0
 GAP_SHARE = 0.05
@@ -52,6 +52,24 @@ def split_at_random(
         tested = set(rng.permutation(len(of_sequence))[:n_test].tolist())
         for k, frame in enumerate(of_sequence):
             (split.test if k in tested else split.train).append(frame)
+    return split
+
+
+def split_by_group(
+    frames: Sequence[LabelledFrame], *, test_share: float = 0.25, seed: int = 0
+) -> Split:
+    """Test with a random share of the groups of each class; a class of one group is not tested."""
+    rng = np.random.default_rng(seed)
+    groups = sequence_names(frames)
+    tested: set[str] = set()
+    for label in sorted({frame.label for frame in frames}):
+        of_class = {g for g, frame in zip(groups, frames, strict=True) if frame.label == label}
+        shuffled = rng.permutation(sorted(of_class)).tolist()
+        n_test = min(max(1, round(test_share * len(shuffled))), len(shuffled) - 1)
+        tested |= set(shuffled[:n_test])
+    split = Split([], [])
+    for group, frame in zip(groups, frames, strict=True):
+        (split.test if group in tested else split.train).append(frame)
     return split
 
 

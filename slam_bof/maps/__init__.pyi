@@ -13,6 +13,7 @@ from .map_session import (
     finish_map as finish_map,
     finish_session as finish_session,
     restore_session as restore_session,
+    with_model_of as with_model_of,
 )
 from .merging import (
     merge_maps as merge_maps,

@@ -89,7 +89,8 @@ class MapLocalizer:
                     f"expected a finished one: resume it, or slam-bof map finish {path}"
                 )
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
-            model = models.resolve(config.model)
+            made_with = store.parameters().get("model")
+            model = models.resolve(models.name_by_hash(config.model, made_with))
             largest = np.flatnonzero(choose_component(store))
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),

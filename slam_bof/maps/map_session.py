@@ -12,12 +12,19 @@ from typing import Self
 
 from slam_bof.core import keep_going
 from slam_bof.errors import MapError
-from slam_bof.scenes import MapRoom, label_map
+from slam_bof.scenes import MapRoom, label_map, model as models
 from slam_bof.slam import Config, LoopCloser, config as configs
 from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
 from slam_bof.types import Intrinsics, Scene, Trajectory
 
-__all__ = ["MapSession", "check_session", "finish_map", "finish_session", "restore_session"]
+__all__ = [
+    "MapSession",
+    "check_session",
+    "finish_map",
+    "finish_session",
+    "restore_session",
+    "with_model_of",
+]
 
 LEFT_OUT_REASON = "inconsistent with the other loops in the final optimisation"
 
@@ -93,7 +100,7 @@ class MapSession:
                 config = configs.parse_saved(sessions[-1].config, where)
             if not isinstance(config, Config):
                 config = configs.resolve(str(config or "indoor"))
-            config = configs.complete(config)
+            config = with_model_of(store, configs.complete(config))
             closer = LoopCloser.from_config(config)
             check_session(store, camera, sequence or "this session", closer)
             session = Session(
@@ -200,6 +207,7 @@ def finish_map(store: MapStore) -> Session | None:
     unfinished = [session for session in store.sessions() if not session.is_finished]
     for session in unfinished:
         config = configs.parse_saved(session.config, f"{store.path}: session {session.id}")
+        config = with_model_of(store, config)
         closer = LoopCloser.from_config(config)
         restore_session(closer, store, session, is_new=False)
         closer.finish()
@@ -224,3 +232,9 @@ def check_session(
             f"{store.path}: found {known}, expected {camera}, the camera of "
             f"{sequence}: all sessions of a map use one camera"
         )
+
+
+def with_model_of(store: MapStore, config: Config) -> Config:
+    """Return the configuration with the model that the map was made with, if it is included."""
+    name = models.name_by_hash(config.model, store.parameters().get("model"))
+    return config.model_copy(update={"model": name})

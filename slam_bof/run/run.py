@@ -12,7 +12,7 @@ from pathlib import Path
 from slam_bof.core import StageClock, Usage, registry
 from slam_bof.datasets import find_doubts, first_frame
 from slam_bof.errors import MapError
-from slam_bof.maps import check_session, finish_session, restore_session
+from slam_bof.maps import check_session, finish_session, restore_session, with_model_of
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry, ScaledDataset
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.logging_observer import LoggingObserver
@@ -99,6 +99,9 @@ def run_sequence(
         If the model, a plug-in, the data set or the map is missing or unusable.
     """
     config = configs.complete(config)
+    if map_file is not None and map_file.exists():
+        with MapStore.open(map_file) as earlier:
+            config = with_model_of(earlier, config)
     job = _Job.prepare(dataset, config, observer, max_frames, with_color=with_color, z_up=z_up)
     with ExitStack() as stack:
         store = None
@@ -164,6 +167,7 @@ def resume_sequence(
                 f"{' '.join(found)}"
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
+        config = with_model_of(store, config)
         n_frames = max_frames or session.max_frames
         job = _Job.prepare(dataset, config, observer, n_frames, with_color=with_color, z_up=z_up)
         _check_ready(store, dataset, job.closer, is_new=False)

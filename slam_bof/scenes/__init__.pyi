@@ -1,4 +1,7 @@
 from . import model as model
+from .augmentation import (
+    remeasure as remeasure,
+)
 from .bag_classifier import (
     SceneClassifier as SceneClassifier,
 )
@@ -8,6 +11,9 @@ from .classifiers import (
     SvmParams as SvmParams,
     make_classifier as make_classifier,
     search_svm as search_svm,
+)
+from .contour_tokens import (
+    bof_tokens as bof_tokens,
 )
 from .folds import (
     cut_segments as cut_segments,
@@ -27,6 +33,7 @@ from .levelled_classifier import (
     LevelledClassifier as LevelledClassifier,
     LevelledFeatures as LevelledFeatures,
     levelled_features as levelled_features,
+    room_network as room_network,
 )
 from .map_labels import (
     label_map as label_map,

@@ -22,8 +22,16 @@ Fold = tuple[NDArray[np.intp], NDArray[np.intp]]
 
 
 def frame_groups(frames: Sequence[LabelledFrame]) -> list[str]:
-    """Return the group of each frame: its sequence, or a segment of it (see ``cut_segments``)."""
-    return cut_segments([frame.label for frame in frames], sequence_names(frames))
+    """Return the group of each frame: its own, its sequence, or a segment of it.
+
+    Sequences are cut by ``cut_segments``; a frame with a group of its own stays in it.
+    """
+    names = sequence_names(frames)
+    segments = cut_segments([frame.label for frame in frames], names)
+    return [
+        segment if frame.group is None else name
+        for frame, name, segment in zip(frames, names, segments, strict=True)
+    ]
 
 
 def cut_segments(labels: Sequence[str], sequences: Sequence[str]) -> list[str]:

@@ -3,7 +3,9 @@
 The hidden state is the scene that the camera is in. From one keyframe to the next it changes with
 a probability that grows with the time and the distance between them; all other scenes are then
 equally likely. A keyframe's likelihood is the classifier's probability to a power below 1, since
-neighbouring keyframes are similar and their errors are correlated.
+neighbouring keyframes are similar and their errors are correlated. Where viewing directions are
+known, the probabilities that result are tempered by how much of the views was new
+(``view_novelty``), so that looking at the same wall again makes no label more certain.
 
 A keyframe shows what lies ahead of the camera, so a walking camera sees the next room early. The
 filter treats that as evidence of where the camera stands; its slow reaction compensates. When the
@@ -16,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from slam_bof.scenes.view_novelty import PATH_M, novelty, pooled
 from slam_bof.types import Array, Params, Scene
 
 __all__ = [
@@ -57,6 +60,13 @@ class SceneFilterParams(Params):
         description="Exponent of a keyframe's probabilities when all keyframes are smoothed at "
         "the end of the run.",
     )
+    new_view_weight: float = Field(
+        0.15,
+        ge=0,
+        le=1,
+        description="Weight of a view that shows something new of a place against the first view "
+        "of it, for the certainty of smoothed labels. Views of what was seen before add nothing.",
+    )
     look_ahead_m: float = Field(
         1.0,
         ge=0,
@@ -96,9 +106,18 @@ class SceneFilter:
         self._stamp_s = 0.0
         self._position_m = np.zeros(3)
         self._segment = 0
+        self._seen_m: list[Array] = []
+        self._axes: list[Array] = []
+        self._sums: Array | None = None
 
     def update(
-        self, scene: Scene, stamp_s: float, position_m: ArrayLike, *, segment: int = 0
+        self,
+        scene: Scene,
+        stamp_s: float,
+        position_m: ArrayLike,
+        *,
+        axis: ArrayLike | None = None,
+        segment: int = 0,
     ) -> Scene:
         """Update the belief with a keyframe, and return its filtered label.
 
@@ -108,6 +127,9 @@ class SceneFilter:
             The keyframe's own label, with the same classes every time.
         stamp_s, position_m
             Time and position (3,) of the keyframe, in one fixed frame.
+        axis
+            (3,) unit vector of the viewing direction in that frame. With it, the label is only as
+            certain as new views make it.
         segment
             Number of the odometry segment. Positions of different segments are not comparable.
         """
@@ -122,8 +144,30 @@ class SceneFilter:
             change = change_probability(stamp_s - self._stamp_s, distance_m, self._params)
             belief = likelihood * predict(self._belief, change)
         self._belief = belief / belief.sum()
+        probabilities = self._belief
+        if axis is not None:
+            axis = np.asarray(axis, dtype=np.float64)
+            probabilities = self._pool(scene, int(self._belief.argmax()), position_m, axis, segment)
         self._stamp_s, self._position_m, self._segment = stamp_s, position_m, segment
-        return most_probable_scene(self._belief, scene.classes, self._params.min_probability)
+        return most_probable_scene(probabilities, scene.classes, self._params.min_probability)
+
+    def _pool(self, scene: Scene, best: int, position_m: Array, axis: Array, segment: int) -> Array:
+        """Return the probabilities by the last views whose most probable scene was this one."""
+        if segment != self._segment:
+            self._seen_m, self._axes = [], []
+        step_m = float(np.linalg.norm(position_m - self._seen_m[-1])) if self._seen_m else 0.0
+        decay = np.exp(-step_m / PATH_M) if np.isfinite(step_m) else 1.0
+        seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
+        new = novelty(position_m, axis, seen_m, axes)
+        logs = weighted_log_likelihood(scene.probabilities, 1.0)
+        if self._sums is None:
+            self._sums = np.zeros((len(logs), len(logs) + 2))
+        self._sums *= decay
+        self._sums[best] += [*logs, new, 1.0]
+        self._seen_m.append(position_m)
+        self._axes.append(axis)
+        own = self._sums[best]
+        return pooled(own[:-2], own[-2], own[-1], self._params.new_view_weight)
 
 
 def most_probable_scene(

@@ -21,6 +21,7 @@ from slam_bof.scenes.hmm_filter import (
     predict,
     weighted_log_likelihood,
 )
+from slam_bof.scenes.view_novelty import novelties, path_sums, pooled
 from slam_bof.types import Array, Scene
 
 __all__ = ["place_evidence", "smooth"]
@@ -57,7 +58,8 @@ def smooth(
         Parameters of the hidden Markov model.
     axes
         (K, 3) unit vectors of the viewing directions, in the frame of the positions. Without them
-        a keyframe is evidence of where the camera stands.
+        a keyframe is evidence of where the camera stands. With them, a label is only as certain
+        as new views make it (``view_novelty``).
     components
         (K,) component of the pose graph of each keyframe. Positions of different components are
         not comparable. By default all keyframes are in one component.
@@ -74,9 +76,9 @@ def smooth(
     logs = weighted_log_likelihood(
         np.array([scene.probabilities for scene in scenes]), params.smoothing_evidence_exponent
     )
+    where = np.zeros(len(scenes)) if components is None else np.asarray(components)
     if axes is not None:
         seen_m = positions_m + params.look_ahead_m * np.asarray(axes, dtype=np.float64)
-        where = np.zeros(len(scenes)) if components is None else np.asarray(components)
         logs = place_evidence(logs, seen_m, positions_m, where, params.spread_m)
     distances_m = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     distances_m[~np.isfinite(distances_m)] = 0.0
@@ -87,13 +89,35 @@ def smooth(
     if sessions is not None:
         # With this probability of a change all scenes are equally likely afterwards.
         changes[np.diff(np.asarray(sessions)) != 0] = 1.0 - 1.0 / logs.shape[1]
+        distances_m[np.diff(np.asarray(sessions)) != 0] = np.inf
     logs = np.maximum(logs - logs.max(axis=1, keepdims=True), -MAX_LOG_RATIO)
     beliefs = _forward_backward(np.exp(logs), np.maximum(changes, MIN_CHANGE))
+    if axes is not None:
+        new = novelties(positions_m, np.asarray(axes, dtype=np.float64), where)
+        raw = weighted_log_likelihood(np.array([scene.probabilities for scene in scenes]), 1.0)
+        views = np.column_stack([raw, new, np.ones_like(new)])
+        views = place_evidence(views, seen_m, positions_m, where, params.spread_m)
+        beliefs = _pool(beliefs.argmax(axis=1), views, distances_m, params.new_view_weight)
     pairs = zip(beliefs, scenes, strict=True)
     return [
         most_probable_scene(belief, scene.classes, params.min_probability)
         for belief, scene in pairs
     ]
+
+
+def _pool(best: NDArray[np.intp], views: Array, steps_m: Array, new_view_weight: float) -> Array:
+    """Return probabilities (K, C): each by the views along the path with the same best class.
+
+    ``best`` (K,) is the most probable class. ``views`` (K, C + 2) are sums over the views of each
+    place: logarithms of their probabilities, novelties, and their number. ``steps_m`` (K - 1,) is
+    the length of the path from one to the next.
+    """
+    out = np.empty_like(views[:, :-2])
+    for label in np.unique(best):
+        own = best == label
+        sums = path_sums(views * own[:, None], steps_m)[own]
+        out[own] = pooled(sums[:, :-2], sums[:, -2], sums[:, -1], new_view_weight)
+    return out
 
 
 def place_evidence(

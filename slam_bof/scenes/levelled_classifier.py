@@ -16,7 +16,7 @@ from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
-__all__ = ["LevelledClassifier", "LevelledFeatures", "levelled_features"]
+__all__ = ["LevelledClassifier", "LevelledFeatures", "levelled_features", "room_network"]
 
 N_WORDS = 400
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
@@ -42,6 +42,11 @@ def levelled_features(
     return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud))
 
 
+def room_network(seed: int = 0) -> MlpEnsemble:
+    """Return a network, not fitted yet, for a few hundred images of many rooms."""
+    return MlpEnsemble(n_hidden=64, n_steps=600, n_components=160, seed=seed)
+
+
 @dataclass(frozen=True, eq=False)
 class LevelledClassifier:
     """A ``Labeller`` by levelled features: a vocabulary of shapes, and a network on all of them.
@@ -62,6 +67,9 @@ class LevelledClassifier:
         n_groups: int | None = None,
         n_words: int = N_WORDS,
         network: MlpEnsemble | None = None,
+        copies: Sequence[Sequence[LevelledFeatures]] = (),
+        weights: ArrayLike | None = None,
+        calibrate_on: NDArray[np.bool_] | None = None,
         seed: int = 0,
     ) -> Self:
         """Learn a vocabulary and a network.
@@ -76,6 +84,14 @@ class LevelledClassifier:
             Number of shape words; fewer where there are fewer shapes.
         network
             The network to fit, by default ``MlpEnsemble`` with its default parameters.
+        copies
+            (N,) features of each frame as other sensors would have measured it; see
+            ``augmentation``. Training uses them like frames of the same group.
+        weights
+            (N,) weight of each frame; by default equal. Classes are then weighted by the root of
+            their number of frames.
+        calibrate_on
+            (N,) whether a frame counts for the temperature; by default all do. Copies never do.
         seed
             Seed of the vocabulary and of the default network.
         """
@@ -84,8 +100,20 @@ class LevelledClassifier:
             shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
         vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
         classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
-        vectors = np.array([classifier.feature_vector(item) for item in features])
-        classifier.network.fit(vectors, np.asarray(labels), groups, n_groups=n_groups)
+        everything = [*features, *(item for items in copies for item in items)]
+        of_copies = [k for k, items in enumerate(copies) for _ in items]
+        frame_of = np.array([*range(len(features)), *of_copies])
+        vectors = np.array([classifier.feature_vector(item) for item in everything])
+        y = np.asarray(labels)[frame_of]
+        counted = np.ones(len(features), bool) if calibrate_on is None else calibrate_on
+        classifier.network.fit(
+            vectors,
+            y,
+            None if groups is None else np.asarray(groups)[frame_of],
+            n_groups=n_groups,
+            weights=None if weights is None else _balanced(weights, y, frame_of),
+            calibrate_on=counted[frame_of] & (np.arange(len(y)) < len(features)),
+        )
         return classifier
 
     def manifest(self) -> dict[str, Any]:
@@ -93,7 +121,10 @@ class LevelledClassifier:
         vocabulary = self.vocabulary.get_params()
         del vocabulary["n_words"]  # known from the words
         classes = [str(label) for label in self.network.classes_]
-        return {"vocabulary": vocabulary, "network": self.network.get_params(), "classes": classes}
+        network = self.network.get_params()
+        if network["n_components"] is None:
+            del network["n_components"]  # as in files older than this parameter
+        return {"vocabulary": vocabulary, "network": network, "classes": classes}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that were learnt, by name."""
@@ -151,3 +182,11 @@ class LevelledClassifier:
         best = int(probabilities.argmax())
         classes = tuple(str(label) for label in self.network.classes_)
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
+
+
+def _balanced(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -> Array:
+    """Return the weight of each sample, divided by the root of its class's sum of weights."""
+    weight = np.asarray(weights, np.float64)[frame_of]
+    _, index = np.unique(y, return_inverse=True)
+    weight /= np.sqrt(np.bincount(index, weight))[index]
+    return np.asarray(weight * len(weight) / weight.sum())

@@ -60,6 +60,9 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         groups).
     seed
         Seed of the networks and the folds.
+    n_components
+        Train on this many principal components of the features, which is faster; None for all
+        features. The weights that result are of the features themselves.
 
     Attributes
     ----------
@@ -80,6 +83,7 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
     n_steps: int = 1200
     n_folds: int = 3
     seed: int = 0
+    n_components: int | None = None
 
     def fit(
         self,
@@ -88,6 +92,8 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         groups: ArrayLike | None = None,
         *,
         n_groups: int | None = None,
+        weights: ArrayLike | None = None,
+        calibrate_on: NDArray[np.bool_] | None = None,
     ) -> Self:
         """Learn from feature vectors and their labels.
 
@@ -103,6 +109,10 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
             Number of groups, where they are segments of sequences. Held-out frames then show
             rooms that are seen in training, and the confidence is limited as that number of
             samples, not the number of frames, permits.
+        weights
+            (n_frames,) weights of the samples in training; by default equal.
+        calibrate_on
+            (n_frames,) whether a sample counts for the temperature; by default all do.
 
         Raises
         ------
@@ -113,16 +123,20 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         check_classification_targets(y)
         self.classes_, index, counts = np.unique(y, return_inverse=True, return_counts=True)
         check_class_counts(self.classes_, counts)
+        weight = None if weights is None else np.asarray(weights, np.float64)
+        counted = np.ones(len(X), bool) if calibrate_on is None else calibrate_on
         # On one thread sums have one order, so the same seed gives the same bytes.
         with one_native_thread():
             held_out = np.zeros((len(X), len(self.classes_)), np.float32)
             for train, test in make_folds(index, groups, self.n_folds, self.seed):
-                self._fit_networks(X[train], index[train])
+                self._fit_networks(
+                    X[train], index[train], None if weight is None else weight[train]
+                )
                 held_out[test] = self._logits(X[test])
-            self._fit_networks(X, index)
+            self._fit_networks(X, index, weight)
         splits_sequences = groups is None or n_groups is not None
         bounds = UNGROUPED_TEMPERATURES if splits_sequences else TEMPERATURES
-        self.temperature_ = _fit_temperature(held_out, index, bounds, n_groups)
+        self.temperature_ = _fit_temperature(held_out[counted], index[counted], bounds, n_groups)
         return self
 
     def predict_proba(self, X: Any) -> Array:
@@ -141,12 +155,18 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         logits = self._logits(X).astype(np.float64)
         return np.asarray(softmax(logits / self.temperature_, axis=-1))
 
-    def _fit_networks(self, X: NDArray[np.float32], index: NDArray[np.intp]) -> None:
-        """Fit scale and weights to samples (n, D) and their class indices (n,)."""
+    def _fit_networks(
+        self, X: NDArray[np.float32], index: NDArray[np.intp], weight: Array | None = None
+    ) -> None:
+        """Fit scale and weights to samples (n, D), their class indices (n,) and weights (n,)."""
         self.mean_ = X.mean(axis=0)
         deviation = X.std(axis=0)
         self.scale_ = np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32)
         inputs, batch_size = self._standardise(X), min(BATCH_SIZE, len(X))
+        components = None
+        if self.n_components is not None:
+            components = _principal_components(inputs, self.n_components)
+            inputs = inputs @ components
         n_epochs = min(-(-self.n_steps * batch_size // len(X)), MAX_EPOCHS)
         networks = [
             MLPClassifier(
@@ -164,11 +184,12 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
             # Stopping at max_iter is intended.
             warnings.simplefilter("ignore", ConvergenceWarning)
             for network in networks:
-                network.fit(inputs, index)
+                network.fit(inputs, index, sample_weight=weight)
         n_classes = len(self.classes_)
         outs = [_output_per_class(n.coefs_[1], n_classes) / len(networks) for n in networks]
         biases = [_output_per_class(n.intercepts_[1], n_classes) for n in networks]
-        self.hidden_ = np.hstack([n.coefs_[0] for n in networks]).astype(np.float32)
+        hidden = np.hstack([n.coefs_[0] for n in networks]).astype(np.float32)
+        self.hidden_ = hidden if components is None else components @ hidden
         self.hidden_bias_ = np.hstack([n.intercepts_[0] for n in networks]).astype(np.float32)
         self.out_ = np.vstack(outs).astype(np.float32)
         self.out_bias_ = np.mean(biases, axis=0).astype(np.float32)
@@ -180,6 +201,16 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
     def _logits(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
         hidden = np.maximum(self._standardise(X) @ self.hidden_ + self.hidden_bias_, 0.0)
         return np.asarray(hidden @ self.out_ + self.out_bias_)
+
+
+def _principal_components(inputs: NDArray[np.float32], n: int) -> NDArray[np.float32]:
+    """Return the directions (D, min(n, D)) along which inputs (m, D) vary most."""
+    centred = (inputs - inputs.mean(axis=0)).astype(np.float64)
+    _, vectors = np.linalg.eigh(centred.T @ centred)
+    largest = vectors[:, ::-1][:, :n]
+    # The sign of an eigenvector is arbitrary.
+    signs = np.sign(largest[np.abs(largest).argmax(axis=0), np.arange(largest.shape[1])])
+    return np.asarray(largest * signs, np.float32)
 
 
 def _output_per_class(weights: Array, n_classes: int) -> Array:

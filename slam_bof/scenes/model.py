@@ -18,6 +18,7 @@ import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import metadata, resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ __all__ = [
     "classifier_bytes",
     "load",
     "load_classifier",
+    "name_by_hash",
     "resolve",
     "save",
 ]
@@ -57,7 +59,9 @@ TRUSTED_TYPES = [
 """Types that a classifier may consist of, beyond those that skops trusts itself."""
 
 DEFAULT = "default"
-"""Name of the model that comes with slam_bof."""
+INCLUDED = (DEFAULT, "synthetic")
+"""Names of the models that come with slam_bof: one learnt from real and synthetic rooms, one from
+synthetic rooms only, which was the default before."""
 LEVELLED_ENTRIES = "levels/"
 """Prefix of the arrays of the levelled classifier."""
 
@@ -118,21 +122,45 @@ def save(model: Model, path: str | Path) -> None:
 
 
 def resolve(name: str | Path | None = None) -> Model:
-    """Read a model by name: the path of a file, or ``default`` or None for that of slam_bof.
-
-    The default model was trained on synthetic rooms only.
+    """Read a model by name, one of ``INCLUDED``, or by the path of a file; None is the default.
 
     Raises
     ------
     ModelError
         As ``load``.
     """
-    if name not in (None, DEFAULT):
+    name = DEFAULT if name is None else name
+    if name not in INCLUDED:
         return load(name)
-    file = resources.files("slam_bof") / "data" / "default.bof"
+    file = _included_file(str(name))
     if not file.is_file():
         raise ModelError(f"{file}: no such model file; scripts/train_default_model makes it")
     return _parse(file.read_bytes(), str(file))
+
+
+def name_by_hash(name: str, content_hash: str | None) -> str:
+    """Return the name of the model that a map was made with.
+
+    A map names ``default`` and the content hash of what that was then. If it is not the default
+    any more but still comes with slam_bof, its name of today is returned, else ``name``.
+    """
+    if name == DEFAULT and content_hash is not None:
+        for included in INCLUDED:
+            file = _included_file(included)
+            if file.is_file() and _stored_hash(file) == content_hash:
+                return included
+    return name
+
+
+def _included_file(name: str) -> Traversable:
+    return resources.files("slam_bof") / "data" / f"{name}.bof"
+
+
+def _stored_hash(file: Traversable) -> str | None:
+    """Return the content hash that a model file's manifest states."""
+    with file.open("rb") as data, zipfile.ZipFile(data) as archive:
+        found = json.loads(archive.read("manifest.json")).get("content_sha256")
+    return None if found is None else str(found)
 
 
 def load(path: str | Path) -> Model:

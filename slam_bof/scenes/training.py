@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.bof import PlaceParams, TfIdf, Vocabulary, count_words, descriptors
+from slam_bof.scenes.augmentation import remeasure
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.folds import cut_segments
 from slam_bof.scenes.levelled_classifier import (
     LevelledClassifier,
     LevelledFeatures,
     levelled_features,
+    room_network,
 )
 from slam_bof.scenes.model import Model
 from slam_bof.types import Array, DepthFrame
@@ -25,9 +27,10 @@ __all__ = ["FrameDescriptors", "TrainingFrame", "describe_frames", "fit_model", 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainingFrame:
-    """A depth frame with its scene label, if it has one, and its sequence (``group``).
+    """A depth frame with its scene label, if it has one, and its sequence or room (``group``).
 
-    Frames of one group are in the order of time. ``gravity_camera`` (3,), the direction of gravity
+    Frames of one group are in the order of time. ``is_room`` says that the group is one of many
+    rooms and must not be cut into segments. ``gravity_camera`` (3,), the direction of gravity
     in the camera frame, is needed for layers along gravity only.
     """
 
@@ -35,6 +38,7 @@ class TrainingFrame:
     label: str | None = None
     group: str = ""
     gravity_camera: Array | None = None
+    is_room: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +47,8 @@ class FrameDescriptors:
 
     ``values`` (M, n_values) stack the descriptors of all frames, ``counts`` (N,) is their number
     in each frame. ``labels`` and ``groups`` have one entry a frame, and so has ``levelled``, which
-    is empty where no levelled classifier is trained.
+    is empty where no levelled classifier is trained. ``copies`` has the features of each frame as
+    other sensors would have measured it. ``are_rooms`` says whether groups are rooms.
     """
 
     values: NDArray[np.float32]
@@ -51,6 +56,8 @@ class FrameDescriptors:
     labels: tuple[str | None, ...]
     groups: tuple[str, ...]
     levelled: tuple[LevelledFeatures, ...] = ()
+    copies: tuple[tuple[LevelledFeatures, ...], ...] = ()
+    are_rooms: bool = False
 
     def by_frame(self) -> list[NDArray[np.float32]]:
         """Return the descriptors of each of the N frames, (counts[k], n_values)."""
@@ -65,6 +72,8 @@ class FrameDescriptors:
             labels=tuple(self.labels[k] for k in frames),
             groups=tuple(self.groups[k] for k in frames),
             levelled=tuple(self.levelled[k] for k in frames) if self.levelled else (),
+            copies=tuple(self.copies[k] for k in frames) if self.copies else (),
+            are_rooms=self.are_rooms,
         )
 
 
@@ -116,19 +125,30 @@ def describe_frames(
     params: PlaceParams,
     *,
     levelled: bool = False,
+    n_copies: int = 0,
+    seed: int = 0,
     on_frame: Callable[[int], None] | None = None,
 ) -> FrameDescriptors:
-    """Return the BOF descriptors of frames, and their levelled features where ``levelled``."""
+    """Return the BOF descriptors of frames, and their levelled features where ``levelled``.
+
+    With ``n_copies`` there are levelled features of as many copies of each frame too, as other
+    sensors, drawn by ``seed``, would have measured it.
+    """
     values = [np.empty((0, params.bof.n_values), np.float32)]
     labels: list[str | None] = []
     groups: list[str] = []
     features: list[LevelledFeatures] = []
+    copies: list[tuple[LevelledFeatures, ...]] = []
+    are_rooms = True
+    rng = np.random.default_rng(seed)
     for n_done, item in enumerate(frames, start=1):
         values.append(descriptors(item.frame, params, gravity_camera=item.gravity_camera))
         labels.append(item.label)
         groups.append(item.group)
         if levelled:
             features.append(levelled_features(item.frame, gravity_camera=item.gravity_camera))
+            copies.append(_copies(item, n_copies, rng))
+        are_rooms &= item.is_room
         if on_frame is not None:
             on_frame(n_done)
     return FrameDescriptors(
@@ -137,7 +157,17 @@ def describe_frames(
         labels=tuple(labels),
         groups=tuple(groups),
         levelled=tuple(features),
+        copies=tuple(copies),
+        are_rooms=are_rooms,
     )
+
+
+def _copies(
+    item: TrainingFrame, n_copies: int, rng: np.random.Generator
+) -> tuple[LevelledFeatures, ...]:
+    """Return the levelled features of a frame as other sensors would have measured it."""
+    remeasured = [remeasure(item.frame, rng, item.gravity_camera) for _ in range(n_copies)]
+    return tuple(levelled_features(frame, gravity_camera=down) for frame, down in remeasured)
 
 
 def fit_model(
@@ -170,13 +200,20 @@ def fit_model(
     if len(set(labels.tolist())) > 1:
         bags = tf_idf.transform(counts)[labelled]
         sequences = list(compress(described.groups, labelled))
-        groups = cut_segments(labels.tolist(), sequences)
+        groups = sequences if described.are_rooms else cut_segments(labels.tolist(), sequences)
         n_groups = len(set(groups)) if groups != sequences else None
         fitted_classifier = (bag_classifier or SceneClassifier(seed=seed)).fit(bags, labels, groups)
         if described.levelled:
             features = list(compress(described.levelled, labelled))
             levelled_classifier = LevelledClassifier.fit(
-                features, labels.tolist(), groups, n_groups=n_groups, seed=seed
+                features,
+                labels.tolist(),
+                groups,
+                n_groups=n_groups,
+                copies=list(compress(described.copies, labelled)),
+                weights=np.ones(len(labels)) if described.are_rooms else None,
+                network=room_network(seed) if described.are_rooms else None,
+                seed=seed,
             )
     return Model(
         places=params,

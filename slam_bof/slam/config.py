@@ -92,7 +92,8 @@ class Config(Params):
     """All parameters of a run."""
 
     model: str = Field(
-        "default", description='Model file, or "default" for the one in the package.'
+        "default",
+        description='Model file, or "default" or "synthetic" for one of those in the package.',
     )
     seed: int = Field(0, ge=0, description="Seed of everything random in a run.")
     dataset: PluginChoice = Field(

@@ -59,7 +59,7 @@ def describe_parameters(model: Model, path: str = "") -> Iterator[tuple[str, str
     --------
     >>> path, description, limits = next(describe_parameters(Config))
     >>> path, description
-    ('model', 'Model file, or "default" for the one in the package.')
+    ('model', 'Model file, or "default" or "synthetic" for one of those in the package.')
     >>> {path: limits for path, _, limits in describe_parameters(Config)}["seed"]
     'Range: >= 0.'
     """

@@ -166,7 +166,11 @@ class KeyframeMap:
                     scene = None  # a view without surfaces that can be measured has no label
             if scene is not None:
                 smoothed = self._scene_filter.update(
-                    scene, frame.stamp_s, T_odom_camera[:3, 3], segment=segment
+                    scene,
+                    frame.stamp_s,
+                    T_odom_camera[:3, 3],
+                    axis=T_odom_camera[:3, 2],
+                    segment=segment,
                 )
         return Keyframe(
             id=len(self),
@@ -208,9 +212,13 @@ class KeyframeMap:
         keyframe = record.keyframe
         frame = restore_frame(record.depth, keyframe.stamp_s).with_sensor(self._config.sensor)
         if keyframe.scene is not None:
-            position_m = keyframe.T_odom_camera[:3, 3]
+            T_odom_camera = keyframe.T_odom_camera
             self._scene_filter.update(
-                keyframe.scene, keyframe.stamp_s, position_m, segment=keyframe.segment
+                keyframe.scene,
+                keyframe.stamp_s,
+                T_odom_camera[:3, 3],
+                axis=T_odom_camera[:3, 2],
+                segment=keyframe.segment,
             )
         self.keyframes.append(keyframe)
         self._detector.remember(keyframe, frame, record.candidates)

@@ -41,6 +41,7 @@ from .lidar import (
     LidarParams as LidarParams,
 )
 from .rooms import (
+    FIRST_KINDS as FIRST_KINDS,
     ROOM_KINDS as ROOM_KINDS,
     make_room as make_room,
 )
@@ -62,6 +63,7 @@ from .twin import (
     write_twin as write_twin,
 )
 from .views import (
+    messy_views as messy_views,
     training_views as training_views,
 )
 from .writer import (

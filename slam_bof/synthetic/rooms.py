@@ -13,7 +13,7 @@ from slam_bof.synthetic.meshes import Mesh, merge
 from slam_bof.synthetic.walls import Opening, shell, wall_length
 from slam_bof.types import Array
 
-__all__ = ["ROOM_KINDS", "Room", "make_room"]
+__all__ = ["FIRST_KINDS", "ROOM_KINDS", "Room", "make_room"]
 
 DOOR_WIDTH_M = 0.92
 DOOR_HEIGHT_M = 2.05
@@ -119,11 +119,41 @@ def _meeting_room(p: Furnisher) -> None:
     p.against_wall(f.bin_)
 
 
+def _dining_room(p: Furnisher) -> None:
+    p.free_standing(f.banquet_set)
+    p.against_wall(f.cabinet)
+    p.against_wall(f.console, chance=0.6)
+    p.against_wall(f.cabinet, chance=0.5)
+    p.in_corner(f.plant, n=2, chance=0.5)
+    p.against_wall(f.chair, n=2, chance=0.5)
+    p.in_corner(f.floor_lamp, chance=0.3)
+    p.against_wall(f.picture, n=3)
+
+
+def _classroom(p: Furnisher) -> None:
+    p.against_wall(f.whiteboard, n=2)
+    p.free_standing(f.desk_rows, margin=0.7)
+    p.against_wall(f.cabinet, n=2, chance=0.6)
+    p.against_wall(f.bookshelf, chance=0.5)
+    p.against_wall(f.chair, n=3, chance=0.5)
+    p.against_wall(f.picture, n=2)
+    p.against_wall(f.bin_)
+
+
 def _filler(rng: np.random.Generator) -> Mesh:
     """Make one of the pieces that occur in rooms of all kinds."""
     makers = (f.picture, f.wall_shelf, f.wall_cabinet, f.sconce, f.boxes, f.plant, f.cabinet)
     chance = (0.15, 0.2, 0.2, 0.1, 0.15, 0.1, 0.1)
     return makers[rng.choice(len(makers), p=chance)](rng)
+
+
+def _scatter(placer: Furnisher) -> None:
+    """Put things that stand about on the floor, anywhere."""
+    makers = (f.boxes, f.chair, f.bin_, f.plant, f.office_chair, f.armchair)
+    for _ in range(int(placer.rng.integers(0, 7))):
+        maker = makers[int(placer.rng.integers(len(makers)))]
+        x, y = placer.rng.uniform(0.3, 0.7, 2) * (placer.width, placer.depth)
+        placer.near(maker, x, y, spread=1.0)
 
 
 _SIZES_M: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
@@ -134,6 +164,8 @@ _SIZES_M: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "living_room": ((3.6, 5.2), (4.0, 5.4)),
     "meeting_room": ((3.8, 5.0), (4.6, 6.2)),
     "office": ((3.2, 4.6), (3.6, 5.0)),
+    "dining_room": ((3.2, 4.6), (3.6, 5.2)),
+    "classroom": ((5.0, 7.5), (5.5, 8.5)),
 }
 _FURNISH: dict[str, Callable[[Furnisher], None]] = {
     "bathroom": _bathroom,
@@ -143,8 +175,14 @@ _FURNISH: dict[str, Callable[[Furnisher], None]] = {
     "living_room": _living_room,
     "meeting_room": _meeting_room,
     "office": _office,
+    "dining_room": _dining_room,
+    "classroom": _classroom,
 }
+_NUMBERS = {kind: number for number, kind in enumerate(_FURNISH)}
+"""A room's random numbers depend on the number of its kind: new kinds come last."""
 
+FIRST_KINDS = tuple(_FURNISH)[:7]
+"""The kinds that the purely synthetic model knows."""
 ROOM_KINDS = tuple(sorted(_FURNISH))
 """The kinds of rooms that can be made, which are the scene labels of the synthetic world."""
 
@@ -156,6 +194,7 @@ def make_room(
     size: tuple[float, float, float] | None = None,
     openings: list[Opening] | None = None,
     clear: Array | None = None,
+    messy: bool = False,
 ) -> Room:
     """Build and furnish a room.
 
@@ -172,6 +211,8 @@ def make_room(
     clear
         (K, 4) columns x, y, bottom, radius that furniture leaves free, from ``bottom`` up; by
         default none.
+    messy
+        Whether sizes vary more, walls hold less or more, and things stand about on the floor.
 
     Returns
     -------
@@ -185,10 +226,13 @@ def make_room(
     """
     if kind not in _FURNISH:
         raise ValueError(f"kind must be one of {', '.join(ROOM_KINDS)}, got {kind!r}")
-    rng = np.random.default_rng([seed, ROOM_KINDS.index(kind)])
+    rng = np.random.default_rng([seed, _NUMBERS[kind]])
     if size is None:
         (a, b), (c, d) = _SIZES_M[kind]
         size = (rng.uniform(a, b), rng.uniform(c, d), rng.uniform(2.4, 2.8))
+        if messy:
+            growth = rng.uniform(0.9, 1.5, 2)
+            size = (size[0] * growth[0], size[1] * growth[1], rng.uniform(2.3, 3.4))
     width, depth, height = size
     if openings is None:
         openings = _random_openings(kind, width, depth, rng)
@@ -196,7 +240,10 @@ def make_room(
         clear = np.empty((0, 4))
     placer = Furnisher(width, depth, openings, clear, rng)
     _FURNISH[kind](placer)
-    placer.against_wall(_filler, n=round(1.8 * (width + depth)))
+    density = rng.uniform(0.3, 2.2) if messy else 1.8
+    placer.against_wall(_filler, n=round(density * (width + depth)))
+    if messy:
+        _scatter(placer)
     for _ in range(sum(opening.pane == "window" for opening in openings)):
         placer.against_wall(f.radiator)
     placer.hanging(f.ceiling_lamp, height)

@@ -12,11 +12,12 @@ from slam_bof.synthetic.rooms import Room, make_room
 from slam_bof.synthetic.scene import Scene3D, View
 from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.synthetic.tour import FRAME_RATE_HZ, camera_poses
-from slam_bof.types import DepthFrame, Pose
+from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
-__all__ = ["shaded_views", "training_views"]
+__all__ = ["messy_views", "shaded_views", "training_views"]
 
 _TRIES = 200
+_SMALL_CAMERA = Intrinsics(320, 240, 285.0, 285.0, 159.5, 119.5)
 
 
 def training_views(
@@ -57,6 +58,21 @@ def shaded_views(
         yield frame, shade.astype(np.uint8)
 
 
+def messy_views(kind: str, seed: int, n_views: int) -> Iterator[tuple[DepthFrame, Array]]:
+    """Yield exact views of one random messy room, each with gravity in the camera frame.
+
+    The images are 320x240 float metres without a sensor's errors. Eyes are 0.8 to 1.9 m high.
+    Parameters are those of ``training_views``.
+    """
+    room = make_room(kind, seed, messy=True)
+    scene = Scene3D(room.mesh, _SMALL_CAMERA)
+    rng = np.random.default_rng([seed, 12])
+    for i in range(n_views):
+        T_world_camera, view = _look(room, scene, rng, (0.8, 1.9))
+        gravity_camera = T_world_camera[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+        yield DepthFrame(i / FRAME_RATE_HZ, view.depth_m, scene.intrinsics), gravity_camera
+
+
 def _views(
     kind: str, seed: int, n_views: int, sensor: SensorModelParams | None
 ) -> Iterator[tuple[DepthFrame, View]]:
@@ -64,23 +80,35 @@ def _views(
     scene = Scene3D(room.mesh)
     rng = np.random.default_rng([seed, 11])
     for i in range(n_views):
-        for _ in range(_TRIES):
-            view = scene.view(_viewpoint(room, rng))
-            seen = view.depth_m[::8, ::8]
-            near = np.percentile(seen[seen > 0], 15) if (seen > 0).any() else 0.0
-            if near > 0.6 and np.mean(seen > 0) > 0.5:
-                break
+        _, view = _look(room, scene, rng)
         depth = sense(view.depth_m, view.returned, rng, sensor)
         yield DepthFrame(i / FRAME_RATE_HZ, depth, scene.intrinsics), view
 
 
-def _viewpoint(room: Room, rng: np.random.Generator) -> Pose:
+def _look(
+    room: Room,
+    scene: Scene3D,
+    rng: np.random.Generator,
+    heights_m: tuple[float, float] = (1.1, 1.7),
+) -> tuple[Pose, View]:
+    """Choose a viewpoint that shows the room and nothing too near."""
+    for _ in range(_TRIES):
+        T_world_camera = _viewpoint(room, rng, heights_m)
+        view = scene.view(T_world_camera)
+        seen = view.depth_m[::8, ::8]
+        near = np.percentile(seen[seen > 0], 15) if (seen > 0).any() else 0.0
+        if near > 0.6 and np.mean(seen > 0) > 0.5:
+            break
+    return T_world_camera, view
+
+
+def _viewpoint(room: Room, rng: np.random.Generator, heights_m: tuple[float, float]) -> Pose:
     """Choose a free place in the room and a direction, most often across the room."""
     width, depth, _ = room.size
     best, best_room = np.zeros(3), -1.0
     for _ in range(_TRIES):
         x, y = rng.uniform((0.35, 0.35), (width - 0.35, depth - 0.35))
-        z = rng.uniform(1.1, 1.7)
+        z = rng.uniform(*heights_m)
         point = np.array([[x, y, z]])
         free = distance_to_boxes(point, room.boxes).min() if len(room.boxes) else np.inf
         if free > best_room:

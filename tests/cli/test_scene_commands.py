@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from conftest import CAMERA
 from labelled_boxes import SIZES_M, write_box
 from test_cli import refusal, slam_bof
 
@@ -147,3 +148,33 @@ def test_evaluation_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
         "holdout", *labels(boxes), "--methods", "bof:magic"
     )
     assert slam_bof("evaluate", "scenes", "--protocol", "magic").exit_code == 2
+
+
+def test_images_by_room(boxes: Path, tmp_path: Path) -> None:
+    table = tmp_path / "labels.csv"
+    images = {label: sorted((boxes / label / "seq-01").glob("*.png")) for label in SIZES_M}
+    rows = [
+        f"{file},{label},{label}-{k % 4}"
+        for label, files in images.items()
+        for k, file in enumerate(files[:8])
+    ]
+    table.write_text("\n".join(["file,scene,group", *rows]))
+    camera = tmp_path / "camera.json"
+    fields = ("width", "height", "fx", "fy", "cx", "cy")
+    camera.write_text(json.dumps({name: getattr(CAMERA, name) for name in fields}))
+    groups = ("evaluate", "scenes", "--protocol", "groups", "--csv", table, "--camera", camera)
+    quick = ("--methods", "profile", "--folds", 2, "--repeats", 1, "--copies", 0, "--quiet")
+    said = json.loads(slam_bof(*groups, *quick, "--out", tmp_path / "page", "--json").stdout)
+    assert (said["n_images"], said["n_groups"], said["classes"]) == (24, 12, sorted(SIZES_M))
+    assert said["methods"]["profile"]["accuracy"] > 0.5
+    assert (tmp_path / "page" / "confusion_profile.png").is_file()
+    assert "Recall by class" in slam_bof(*groups, *quick, "--classes", "hall,store").stdout
+    tested = json.loads(slam_bof(*groups, "--model", "default", "--quiet", "--json").stdout)
+    assert [row["label"] for row in tested["by_class"]] == sorted(SIZES_M)
+    assert "unknown_auroc" in slam_bof(*groups, "--model", "default", "--quiet").stdout
+    assert "--classes: found no images of cave" in refusal(*groups, "--classes", "cave,hall")
+    out = tmp_path / "boxes.bof"
+    trained = slam_bof("train", "--csv", table, "--camera", camera, "-o", out, "--copies", 0,
+                       *QUICK, "--json")  # fmt: skip
+    assert json.loads(trained.stdout)["n_checked"] == 6
+    assert model.load(out).trained_on == "24 images of labels.csv"

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import cv2
@@ -9,8 +10,10 @@ import pytest
 from slam_bof.datasets import (
     LabelledFrame,
     frames_of,
+    has_groups,
     open_labelled,
     parse_label,
+    read_image_table,
     read_label_file,
     read_split,
 )
@@ -127,3 +130,54 @@ def test_official_splits(tmp_path: Path) -> None:
     (tmp_path / "TestSplit.txt").write_text("sequence7\n")
     with pytest.raises(DatasetError, match=r"found none of seq-07, which TestSplit.txt names"):
         read_split(tmp_path, "TestSplit.txt")
+
+
+CAMERA_8_BIT = {
+    "width": 8, "height": 6, "fx": 9.0, "fy": 9.0, "cx": 4.0, "cy": 3.0,
+    "depth_scale": 25.0, "depth_offset": 0.5,
+}  # fmt: skip
+
+
+def write_table(folder: Path, text: str, depth: int = 50) -> Path:
+    cv2.imwrite(str(folder / "1.png"), np.full((6, 8), depth, np.uint8))
+    (folder / "camera.json").write_text(json.dumps(CAMERA_8_BIT))
+    (folder / "labels.csv").write_text(text)
+    return folder / "labels.csv"
+
+
+def test_a_table_of_images_by_group(tmp_path: Path) -> None:
+    turned = ",0,1,0,-1,0,0,0,0,1"
+    columns = ",".join(["file", "scene_type", "group", *(f"R{k // 3}{k % 3}" for k in range(9))])
+    table = write_table(tmp_path, f"{columns}\n1.png,bath,a{turned}\n1.png,hall,b{turned}\n")
+    assert has_groups(table)
+    bath, hall = read_image_table(table, camera_file=tmp_path / "camera.json")
+    assert (bath.label, bath.group, hall.label, hall.group) == ("bath", "a", "hall", "b")
+    assert bath.gravity_camera == (-1.0, 0.0, 0.0)
+    frame, _ = bath.read(gray=False)
+    assert frame.depth_m()[2, 3] == pytest.approx(50.5 / 25.0)
+    assert frame.intrinsics.fx == 9.0
+    assert frame_groups([bath] * 10 + [hall]) == ["group a"] * 10 + ["group b"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("file,scene\n1.png,bath\n", "found columns file, scene, expected columns file, scene, g"),
+        ("file,scene,group\n", "found no rows"),
+        ("file,scene,group\n1.png,bath,\n", ":2: found '1.png,bath,', expected"),
+        ("file,scene,group\n2.png,bath,a\n", ":2: found no .*2.png, expected a depth image"),
+        (
+            "file,scene,group,R00,R01,R02,R10,R11,R12,R20,R21,R22\n1.png,bath,a,1,0,0,0,1,0,0,0,x\n",
+            ":2: found R00 to R22 that are no rotation",
+        ),
+    ],
+)
+def test_tables_by_group_that_are_wrong(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(DatasetError, match=message):
+        read_image_table(write_table(tmp_path, text))
+
+
+def test_images_of_8_bits_need_the_units_a_metre(tmp_path: Path) -> None:
+    table = write_table(tmp_path, "file,scene,group\n1.png,bath,a\n")
+    with pytest.raises(DatasetError, match=r"1.png: found an image of 8 bits, expected 16"):
+        read_image_table(table)

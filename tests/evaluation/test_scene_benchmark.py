@@ -119,8 +119,8 @@ def test_bags_stand_alone() -> None:
 
 def test_rooms_to_test_with_are_never_those_to_train_with() -> None:
     split = split_rooms(3, 2, 4, seed=1)
-    assert len(split.train) == 7 * 3 * 4
-    assert len(split.test) == 7 * 2 * 4
+    assert len(split.train) == 9 * 3 * 4
+    assert len(split.test) == 9 * 2 * 4
     rooms = [{f.dataset.sequence for f in side} for side in (split.train, split.test)]
     assert not rooms[0] & rooms[1]
     assert {f.label for f in split.test} == {f.label for f in split.train}

@@ -17,6 +17,7 @@ from slam_bof.evaluation.trajectory_metrics import ate
 from slam_bof.geometry import se3
 from slam_bof.maps import MapLocalizer, merge_maps
 from slam_bof.run import read_run, run_sequence
+from slam_bof.scenes import model as models
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
 from slam_bof.store import (
@@ -202,3 +203,24 @@ def test_localize_by_the_command_line(joined, sequences, tmp_path):
     missing = CliRunner().invoke(app, ["localize", str(tmp_path / "none.db"), image])
     assert (missing.exit_code, missing.stdout) == (1, "")
     assert "none.db: found no file, expected a map.db" in missing.stderr
+
+
+def test_a_map_of_an_earlier_default_model_keeps_its_model(sequences, tmp_path, monkeypatch):
+    first, second = sequences
+    map_file = tmp_path / "old.db"
+    earlier = models.resolve("synthetic")
+    with monkeypatch.context() as patch:
+        # A version whose default was today's synthetic model.
+        patch.setattr(models, "resolve", lambda name: earlier)
+        run_sequence(first, QUICK, tmp_path, map_file=map_file)
+    with MapStore.open(map_file) as store:
+        assert "model: default" in store.sessions()[0].config
+    assert earlier.content_hash != models.resolve("default").content_hash
+    classes = set(earlier.levelled_classifier.network.classes_)
+    found = MapLocalizer.open(map_file).localize(second.frame(0))
+    assert set(found.scene.classes) == classes
+    run_sequence(second, QUICK, tmp_path, map_file=map_file)
+    with MapStore.open(map_file) as store:
+        assert store.parameters()["model"] == earlier.content_hash
+        assert len(store.sessions()) == 2
+        assert {name for k in store.keyframes() for name in k.scene.classes} == classes

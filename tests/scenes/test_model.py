@@ -23,7 +23,7 @@ from slam_bof.scenes import (
 )
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES
-from slam_bof.synthetic import ROOM_KINDS, training_views
+from slam_bof.synthetic import ROOM_KINDS, messy_views, training_views
 
 PARAMS = PlaceParams(layers=LayerParams(n_layers=3))
 
@@ -250,18 +250,41 @@ def test_a_type_that_is_not_trusted_is_refused(file):
         models.load(file)
 
 
-def test_the_default_model_knows_synthetic_rooms_only():
-    model = models.resolve()
-    assert model.trained_on.startswith("synthetic rooms")
+@pytest.mark.parametrize(("name", "n_classes"), [("default", 9), ("synthetic", 7)])
+def test_the_included_models(name, n_classes):
+    model = models.resolve(name)
+    assert "synthetic rooms: " in model.trained_on
     assert model.vocabulary.words_.shape == (model.vocabulary.n_words, 180)
-    assert model.bag_classifier is not None
-    assert len(model.bag_classifier.classes_) >= 4
+    view = next(training_views("office", 590, 1))
+    scene = model.labeller().label(view)
+    assert len(scene.classes) == n_classes
+    assert scene.probabilities.sum() == pytest.approx(1.0)
+    assert models.name_by_hash("default", model.content_hash) == name
 
 
-def test_the_default_model_labels_unseen_rooms():
-    labeller = models.resolve().labeller()
+def test_the_synthetic_model_is_the_default_of_earlier_maps():
+    assert models.resolve("synthetic").content_hash.startswith("daff55e72714")
+    assert models.name_by_hash("default", "another") == "default"
+    assert models.name_by_hash("default", None) == "default"
+    assert models.name_by_hash("mine.bof", models.resolve("synthetic").content_hash) == "mine.bof"
+
+
+def test_the_synthetic_model_tells_rooms_it_has_not_seen():
+    labeller = models.resolve("synthetic").labeller()
     views = [(kind, f) for kind in ("bathroom", "corridor") for f in training_views(kind, 590, 3)]
-    together = {kind: np.zeros(len(ROOM_KINDS)) for kind, _ in views}
+    together = {kind: 0.0 for kind, _ in views}
     for kind, frame in views:
-        together[kind] += np.log(labeller.label(frame).probabilities)
-    assert [ROOM_KINDS[total.argmax()] for total in together.values()] == list(together)
+        scene = labeller.label(frame)
+        together[kind] = together[kind] + np.log(scene.probabilities)
+    assert [scene.classes[total.argmax()] for total in together.values()] == list(together)
+
+
+def test_the_default_model_is_rarely_wrong_and_sure():
+    """Of messy rooms that it has not seen it knows fewer, and says so."""
+    labeller = models.resolve().labeller()
+    views = [(k, *v) for k in ROOM_KINDS for s in (9000, 9001) for v in messy_views(k, s, 2)]
+    scenes = [labeller.label(frame, gravity_camera=down) for _, frame, down in views]
+    right = np.array([s.label == kind for s, (kind, *_) in zip(scenes, views, strict=True)])
+    sure = np.array([scene.probability for scene in scenes]) > 0.6
+    assert right.mean() > 0.35
+    assert (sure & ~right).mean() < 0.1

@@ -41,10 +41,12 @@ from slam_bof.synthetic.furniture.storage import (
     wardrobe,
 )
 from slam_bof.synthetic.furniture.tables import (
+    banquet_set,
     chair,
     coffee_table,
     conference_set,
     desk,
+    desk_rows,
     dining_set,
     office_chair,
 )
@@ -53,6 +55,7 @@ from slam_bof.synthetic.meshes import Mesh
 __all__ = [
     "Maker",
     "armchair",
+    "banquet_set",
     "bathtub",
     "bed",
     "bin_",
@@ -67,6 +70,7 @@ __all__ = [
     "console",
     "counter",
     "desk",
+    "desk_rows",
     "dining_set",
     "floor_lamp",
     "fridge",

@@ -17,7 +17,16 @@ from slam_bof.synthetic.furniture.parts import (
 )
 from slam_bof.synthetic.meshes import Mesh, box, cylinder, merge
 
-__all__ = ["chair", "coffee_table", "conference_set", "desk", "dining_set", "office_chair"]
+__all__ = [
+    "banquet_set",
+    "chair",
+    "coffee_table",
+    "conference_set",
+    "desk",
+    "desk_rows",
+    "dining_set",
+    "office_chair",
+]
 
 
 def chair(rng: np.random.Generator) -> Mesh:
@@ -59,6 +68,35 @@ def conference_set(rng: np.random.Generator) -> Mesh:
     """Make a long meeting table with many chairs."""
     n = int(rng.integers(3, 5))
     return _table_set(rng, 0.62 * n, rng.uniform(0.95, 1.2), n, True)
+
+
+def banquet_set(rng: np.random.Generator) -> Mesh:
+    """Make the large table of a dining room with its chairs."""
+    n = int(rng.integers(2, 4))
+    ends = bool(rng.random() < 0.7)
+    return _table_set(rng, rng.uniform(0.6, 0.75) * n, rng.uniform(0.85, 1.1), n, ends)
+
+
+def desk_rows(rng: np.random.Generator) -> Mesh:
+    """Make the rows of tables and chairs of a classroom; all face -y."""
+    n_rows, n_columns = int(rng.integers(2, 5)), int(rng.integers(2, 4))
+    w, h, color = rng.uniform(0.65, 1.4), rng.uniform(0.7, 0.76), pick(rng, WOODS + PALES)
+    pitch_x, pitch_y = w + rng.uniform(0.1, 0.6), rng.uniform(1.1, 1.5)
+    seats = int(rng.integers(0, 2**31))
+    parts = []
+    for row in range(n_rows):
+        for column in range(n_columns):
+            x, y = (column - (n_columns - 1) / 2) * pitch_x, row * pitch_y
+            parts.append(box(x - w / 2, y, h - 0.03, x + w / 2, y + 0.5, h, color))
+            parts += legs(w / 2 - 0.04, 0.21, h - 0.03, STEEL, cx=x, cy=y + 0.25)
+            for side in (-0.25, 0.25) if w > 1.0 else (0.0,):
+                if rng.random() < 0.9:
+                    one = chair(np.random.default_rng(seats))
+                    turn = np.pi + rng.uniform(-0.3, 0.3)
+                    parts.append(one.placed(x + side * w, y + rng.uniform(0.75, 0.95), yaw=turn))
+            if rng.random() < 0.5:
+                parts.append(clutter(rng, x - w / 2, y, x + w / 2, y + 0.5, h, 2))
+    return merge(parts)
 
 
 def desk(rng: np.random.Generator) -> Mesh:
