@@ -1,8 +1,8 @@
 """Scenes whose surfaces leave directions of motion open, and a camera that moves through them.
 
-A corridor without an end in range says nothing of how far one went along it, a wall nothing of how
-one slid past it. What a map makes of such motion, beside odometries that are exact, that drift, or
-that are themselves taken from the depth, shows whether registration knows what the surfaces hold.
+In a corridor without an end in range, depth does not tell how far the camera moved along it, nor in
+front of a wall how far it slid past. Whether registration knows this shows in the map of such
+motion, from odometry that is exact, that drifts, or that is itself computed from depth.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Depth sensors that err in different ways: white noise, structured light, time of flight, phone.
 
-Each is a small camera with a model of its noise, so that what is tuned to one of them shows on the
-others.
+Each is a small camera with a model of its noise, so that tuning to one of them shows on the others.
 """
 
 from __future__ import annotations

@@ -313,7 +313,7 @@ def test_a_step_of_known_covariance_holds_against_a_loop_as_far_as_it_says():
 
 
 def test_what_a_partial_edge_leaves_open_speaks_against_nothing():
-    """Along z the edge is off by half a metre, and says by its information that it does not know."""
+    """The edge is off by half a metre along z, along which it has no information."""
     backend = GtsamBackend()
     for k in range(4):
         T = np.eye(4)
