@@ -68,6 +68,7 @@ def count_metrics(
         "n_loops_across": result.n_loops_across,
         "n_edges_left_out": len(result.loops_left_out),
         "n_covisibility_edges": len(result.loops) - len(loops),
+        "n_partial_edges": sum(loop.kind == EdgeKind.PARTIAL for loop in result.loops),
     }
 
 

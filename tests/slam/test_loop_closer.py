@@ -50,17 +50,22 @@ def test_gravity_follows_the_odometry(gravity_model):
     assert step.keyframe.bag.words.tolist() != otherwise.words.tolist()
 
 
+def ahead(standpoint):
+    """Return the pose (4, 4) of a level camera that looks along x from a place in a room."""
+    T = np.eye(4)
+    T[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
+    T[:3, 3] = [*standpoint, 1.3]
+    return T
+
+
 def test_depths_beyond_the_range_of_the_sensor_are_not_used(look, standpoint):
-    T = np.array(
-        [[0, 0, 1, standpoint[0]], [-1, 0, 0, standpoint[1]], [0, -1, 0, 1.3], [0, 0, 0, 1.0]]
-    )
-    frame = look(T, 0)
+    frame = look(ahead(standpoint), 0)
     limit_m = float(np.median(frame.depth_in_range_m()))
     depths_m = []
     for max_depth_m in (8.0, limit_m):
         records = []
         config = override(preset("indoor"), [f"sensor.max_depth_m={max_depth_m}"])
-        LoopCloser.from_config(config, journal=records.append).process(frame, T)
+        LoopCloser.from_config(config, journal=records.append).process(frame, ahead(standpoint))
         depths_m.append(records[0].depth.depth / records[0].depth.per_m)
     assert depths_m[0].max() > limit_m
     np.testing.assert_array_equal(depths_m[1], np.where(depths_m[0] > limit_m, 0.0, depths_m[0]))
@@ -121,9 +126,11 @@ def test_a_preset_is_named_where_a_configuration_is_expected(tmp_path):
         (np.diag([1.0, 1.0, -1.0, 1.0, 1.0, 1.0]), "no negative variance"),
     ],
 )
-def test_a_covariance_that_is_none_is_refused_and_the_frame_is_ignored(look, covariance, message):
+def test_what_is_no_covariance_is_refused_and_the_frame_is_ignored(
+    look, standpoint, covariance, message
+):
     closer = LoopCloser.from_preset()
-    frame = look(np.eye(4), 0)
+    frame = look(ahead(standpoint), 0)
     with pytest.raises(FrameError, match=message):
         closer.process(frame, np.eye(4), covariance)
     assert closer.process(frame, np.eye(4), np.zeros(36)).keyframe is not None
@@ -131,9 +138,7 @@ def test_a_covariance_that_is_none_is_refused_and_the_frame_is_ignored(look, cov
 
 def test_the_covariance_of_a_keyframe_adds_up_since_the_one_before(look, standpoint):
     """Translation comes first in the argument, as in nav_msgs/Odometry, and rotation in the map."""
-    T_world_first = np.eye(4)
-    T_world_first[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
-    T_world_first[:3, 3] = [*standpoint, 1.3]
+    T_world_first = ahead(standpoint)
     covariance = np.diag([4e-10, 4e-10, 4e-10, 1e-10, 1e-10, 1e-10])
     closer = LoopCloser.from_preset()
     for k in range(12):
