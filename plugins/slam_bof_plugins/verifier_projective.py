@@ -32,18 +32,18 @@ class ProjectiveParams(RegistrationQualityParams):
     alignment: AlignmentParams = AlignmentParams(
         n_points=3000, n_iterations=15, gates_m=(0.3, 0.03), n_final_iterations=4
     )
-    min_overlap_global: float = Field(
-        0.7,
-        ge=0,
-        le=1,
-        description="Smallest share of points with a match where registration started without a "
-        "guess: a search over many poses finds more overlap by chance.",
-    )
     max_free_space_violation: float = Field(
         0.15,
         ge=0,
         le=1,
         description="Largest share of points that may stand before what the other view sees.",
+    )
+    max_free_space_violation_global: float = Field(
+        0.1,
+        ge=0,
+        le=2,
+        description="Largest sum of that share in both directions where registration started "
+        "without a guess, because a search over many poses finds some overlap by chance.",
     )
 
 
@@ -90,6 +90,10 @@ class ProjectiveVerifier:
         else:
             T = self._aligner.refine(query, ids, T_match_query)
         overlap, free_space_violation = self._aligner.inlier_ratio(query, ids, T)
+        limit = self.params.max_free_space_violation
+        if T_match_query is None:
+            free_space_violation = self._aligner.agreement(query, ids, T).free_space_violation
+            limit = self.params.max_free_space_violation_global
         pairs = self._aligner.surface_pairs(query, ids, T)
         verifications = [
             assess_registration(
@@ -100,7 +104,7 @@ class ProjectiveVerifier:
                 pairs[k].residuals_m,
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
-                reason_against=self._reason_against(float(free_space_violation[k])),
+                reason_against=_reason_against(float(free_space_violation[k]), limit),
             )
             for k in range(len(ids))
         ]
@@ -122,7 +126,8 @@ class ProjectiveVerifier:
         information = directions.without(verification.information, axes)
         return replace(verification, information=information, n_open=axes.shape[1])
 
-    def _reason_against(self, free_space_violation: float) -> str:
-        if free_space_violation <= self.params.max_free_space_violation:
-            return ""
-        return f"{free_space_violation:.2f} of the points stand before what the other sees"
+
+def _reason_against(free_space_violation: float, limit: float) -> str:
+    if free_space_violation <= limit:
+        return ""
+    return f"{free_space_violation:.2f} of the points stand before what the other sees"

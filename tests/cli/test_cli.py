@@ -234,7 +234,8 @@ def test_clouds_can_stand_upright(
     def heights(path: Path, axis: int) -> np.ndarray:
         return np.asarray(import_open3d().io.read_point_cloud(str(path)).points)[:, axis]
 
-    options = ("--model", model_file, "-o", tmp_path / "runs", "--quiet", "--z-up")
+    every = ("--set", "keyframes.policy=every", "--set", "keyframes.every=2")  # as in finished
+    options = ("--model", model_file, "-o", tmp_path / "runs", "--quiet", "--z-up", *every)
     assert slam_bof("run", room, *options).exit_code == 0
     assert slam_bof("export", finished, "-o", tmp_path / "up.ply", "--z-up").exit_code == 0
     slam_bof("export", finished, "-o", tmp_path / "map.ply")

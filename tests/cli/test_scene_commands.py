@@ -78,7 +78,8 @@ def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path
     assert trained.bag_classifier.classifier == "naive-bayes"
     assert trained.levelled_classifier is None
     picture = next((boxes / "hall" / "seq-01").glob("*.png"))
-    answer = slam_bof("query", picture, "--model", out, "--json")
+    intrinsics = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
+    answer = slam_bof("query", picture, "--model", out, "--intrinsics", *intrinsics, "--json")
     assert set(json.loads(answer.stdout)["probabilities"]) == set(SIZES_M)
 
 
