@@ -32,6 +32,8 @@ SEARCH_ROUNDS = ((64, 0.15, 4), (32, 0.06, 2))
 """Number of poses tried in a round, their spread in m, and the number refined of them."""
 OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
+MAX_WEAK_AXES = 4
+"""Number of the weakest directions along which poses are searched for."""
 MIN_PAIRS = 30
 MIN_RADIUS_M = 0.05
 
@@ -166,7 +168,8 @@ def search_weak_directions(
         directions = PrincipalDirections.of(pairs)
         if directions is None:
             break
-        weak = directions.axes[:, : max(1, min(4, directions.weak_axes.shape[1]))]
+        n_weak = int(np.clip(directions.weak_axes.shape[1], 1, MAX_WEAK_AXES))
+        weak = directions.axes[:, :n_weak]
         displacements = sigma_m * rng.standard_normal((n, weak.shape[1])) @ weak.T
         tried = best @ directions.displace(displacements)
         coarse = aligner.coarse_score(query, match, tried)

@@ -387,7 +387,8 @@ def _step(found: _Association, gate_m: np.float32) -> Floats:
     scaled = (vectors @ (gains[..., None] * along))[..., 0]
     scaled *= (matched.sum(axis=1) >= MIN_PAIRS)[:, None]
     turns = scaled[:, :3] / radius_m[:, None]
-    return np.concatenate([turns, scaled[:, 3:] + np.cross(centre, turns)], axis=1)
+    shifts = scaled[:, 3:] + _cross(centre[..., None], turns[..., None])[..., 0]
+    return np.concatenate([turns, shifts], axis=1)
 
 
 def _cross(a: Floats, b: Floats) -> Floats:

@@ -374,19 +374,20 @@ class Tracker:
         """Align the frame with a view from where odometry has it, or from elsewhere if in doubt."""
         T_view_guess = se3.inverse(T_odom_view) @ T_guess
         T = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
-        aligned = self._evaluate(view_id, T_odom_view, T)
-        if aligned.agreement <= 1.0 - MARGIN:
+        registration = self._evaluate(view_id, T_odom_view, T)
+        if registration.agreement <= 1.0 - MARGIN:
             guessed = self._evaluate(view_id, T_odom_view, T_view_guess)
-            if guessed.agreement > aligned.agreement + MARGIN:
-                T = T_view_guess
-        T = self._improve(view_id, T_odom_view, T)
-        found = open_directions(self._aligner, FRAME, view_id, T)
-        open_axes: Array = NO_AXES
-        if found is not None:
-            directions, open_displacements = found
-            T = directions.keep(open_displacements, T, T_view_guess)
-            open_axes = np.asarray(np.linalg.solve(directions.of_tangent(), open_displacements))
-        return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=open_axes)
+            if guessed.agreement > registration.agreement + MARGIN:
+                registration, T = guessed, T_view_guess
+        T_improved = self._improve(view_id, T_odom_view, T)
+        if T_improved is not T:
+            registration, T = self._evaluate(view_id, T_odom_view, T_improved), T_improved
+        directions, open_axes = open_directions(self._aligner, FRAME, view_id, T) or (None, NO_AXES)
+        if directions is None or open_axes.shape[1] == 0:
+            return registration
+        T = directions.keep(open_axes, T, T_view_guess)
+        tangents: Array = np.asarray(np.linalg.solve(directions.of_tangent(), open_axes))
+        return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=tangents)
 
     def _improve(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> Pose:
         """Return a better pose if the views agree less than usual and there is one."""
