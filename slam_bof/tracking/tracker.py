@@ -227,6 +227,8 @@ class Tracker:
         T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
         if not is_followed:
             self._fusion.restart(T_odom_camera, T)
+            # What odometry says of the step up to here does not hold any more.
+            self._T_odometry_keyframe = T_odom_camera @ se3.inverse(T) @ self._T_keyframe
         if not is_lost:
             self._T_known = T
         self._T_before, self._T_last, self._is_lost = self._T_last, T, is_lost
@@ -252,6 +254,7 @@ class Tracker:
             "usual_score": score,
             "usual_violation": self._reference_violation,
             "T_before": self._T_before.tolist(),
+            "T_odometry": self._T_odometry.tolist(),
             "fusion": self._fusion.state(),
         }
 
@@ -269,6 +272,7 @@ class Tracker:
             self._is_lost = False
             self._T_last = self._T_known = track.T_odom_camera
             self._T_before = np.array(state.get("T_before", track.T_odom_camera))
+            self._T_odometry = np.array(state.get("T_odometry", track.T_odom_camera))
             self.keep()
             self._fusion.restore(state["fusion"])
 

@@ -202,3 +202,42 @@ def test_along_open_directions_a_step_is_as_uncertain_as_odometry():
     aside, ahead = tracks[5].step_covariance[3, 3], tracks[5].step_covariance[5, 5]
     assert aside == pytest.approx(5e-4, rel=0.2)  # five frames since the keyframe
     assert ahead < 0.1 * aside
+
+
+def test_with_covariances_a_restored_tracker_goes_on_as_before():
+    case = DegenerateCase("room", sensor="kinect", rate_hz=10.0)
+    poses = case.poses()
+    frames = list(render_case(case))[:14]
+    odometry = se3.inverse(poses[0]) @ poses
+    odometry[:, :3, 3] *= 1.05
+    covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
+    whole, restored = Tracker(), Tracker()
+    for k in range(8):
+        track = whole.track(frames[k], odometry[k], covariance)
+        if k in (0, 7):
+            whole.keep()
+    restored.restore(whole.state(), frames[7], track)
+    for k in range(8, 14):
+        expected = whole.track(frames[k], odometry[k], covariance)
+        found = restored.track(frames[k], odometry[k], covariance)
+        np.testing.assert_array_equal(found.T_odom_camera, expected.T_odom_camera)
+        np.testing.assert_array_equal(found.step_covariance, expected.step_covariance)
+
+
+def test_after_a_relocalisation_trusted_odometry_does_not_undo_it(turn):
+    """Odometry slips while the lens is covered, although its covariance says it is exact."""
+    frames, poses = turn
+    slip = se3.exp(np.array([0.0, 0.15, 0.0, 0.1, 0.0, 0.1]))
+    odometry = np.concatenate([poses[:6], slip @ poses[6:]])
+    tracker, tracks = Tracker(), []
+    for k, (frame, T) in enumerate(zip(frames, odometry, strict=True)):
+        tracks.append(tracker.track(covered(frame) if k == 5 else frame, T, 1e-10 * np.eye(6)))
+        if k == 0:
+            tracker.keep()
+    found = [track for track in tracks[6:] if not track.is_lost]
+    assert found
+    assert all(
+        np.linalg.norm((se3.inverse(poses[k]) @ tracks[k].T_odom_camera)[:3, 3]) < 0.05
+        for k in range(6, N_FRAMES)
+        if not tracks[k].is_lost
+    )
