@@ -224,35 +224,33 @@ def draw_labels(
 def draw_stages(stage_ms: Mapping[str, float]) -> Figure:
     """Draw the mean time of each stage, in milliseconds per frame."""
     figure = _figure("wall time per frame (ms)", "")
-    figure.add_bar(
-        x=list(stage_ms.values()),
-        y=list(stage_ms),
-        orientation="h",
-        marker={"color": COLORS["optimized"]},
-        texttemplate="%{x:.1f} ms",
-        textposition="outside",
-        cliponaxis=False,
-        hovertemplate="%{y}: %{x:.2f} ms<extra></extra>",
+    return _add_bars(
+        figure, stage_ms, COLORS["optimized"], label="%{x:.1f} ms", hover="%{x:.2f} ms"
     )
-    figure.update_yaxes(autorange="reversed")
-    return figure.update_layout(height=80 + 34 * len(stage_ms), bargap=0.35, margin={"t": 16})
 
 
 def draw_reasons(counts: Mapping[str, int]) -> Figure:
     """Draw how many candidates were not accepted for each reason."""
-    figure = _figure("pairs", "")
+    figure = _add_bars(_figure("pairs", ""), counts, COLORS["odometry"], label="%{x}", hover="%{x}")
+    return figure.update_yaxes(automargin=True)
+
+
+def _add_bars(
+    figure: Figure, values: Mapping[str, float], color: str, *, label: str, hover: str
+) -> Figure:
+    """Add a horizontal bar for each value; ``label`` and ``hover`` are templates of its number."""
     figure.add_bar(
-        x=list(counts.values()),
-        y=list(counts),
+        x=list(values.values()),
+        y=list(values),
         orientation="h",
-        marker={"color": COLORS["odometry"]},
-        texttemplate="%{x}",
+        marker={"color": color},
+        texttemplate=label,
         textposition="outside",
         cliponaxis=False,
-        hovertemplate="%{y}: %{x}<extra></extra>",
+        hovertemplate=f"%{{y}}: {hover}<extra></extra>",
     )
-    figure.update_yaxes(autorange="reversed", automargin=True)
-    return figure.update_layout(height=80 + 34 * len(counts), bargap=0.35, margin={"t": 16})
+    figure.update_yaxes(autorange="reversed")
+    return figure.update_layout(height=80 + 34 * len(values), bargap=0.35, margin={"t": 16})
 
 
 def draw_precision_recall(curves: Mapping[str, Mapping[str, Array]]) -> Figure:
