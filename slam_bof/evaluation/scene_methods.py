@@ -156,7 +156,7 @@ class DescriptorMethod:
             registry.build("descriptors", plugin, chosen) for plugin, chosen in pairs
         ]
         self.needs_gray = any(descriptor.needs_gray for descriptor in self._descriptors)
-        kinds = {descriptor.comparison == "bag" for descriptor in self._descriptors}
+        kinds = {descriptor.comparison in ("bag", "hamming") for descriptor in self._descriptors}
         if len(kinds) > 1 or (kinds == {True} and len(names) > 1):
             raise ValueError(f"bags of words cannot be put beside others, got {self.name}")
         self._is_bag = kinds == {True}
