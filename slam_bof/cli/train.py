@@ -205,11 +205,7 @@ def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
         print_json(figures)
         return
     if svm is not None:
-        gamma = "" if svm.gamma == "scale" else f", gamma {svm.gamma:g}"
-        typer.echo(
-            f"Grid search: {svm.name}, C {svm.C:g}{gamma}; "
-            f"accuracy {svm.accuracy:.3f} in cross-validation."
-        )
+        typer.echo(f"Grid search: {svm}.")
     if scores is not None:
         print_table(
             ("class", "tested", "precision", "recall", "F1"),
