@@ -63,6 +63,12 @@ class Found:
     scores: NDArray[np.float32]
     motions: Motions
 
+    def without_motion(self) -> Found:
+        """Return the same views as if their contours said nothing."""
+        motions: tuple[NDArray[Any], ...] = self.motions
+        none = Motions(*(np.zeros_like(column) for column in motions))
+        return Found(self.view_ids, np.zeros_like(self.scores), none)
+
     def first(self, n: int) -> Found:
         """Return the best ``n``."""
         motions: tuple[NDArray[Any], ...] = self.motions
