@@ -2,11 +2,11 @@ from . import registry as registry
 from .arrays import (
     GrowingArray as GrowingArray,
 )
+from .bounded_yaml import parse_yaml as parse_yaml
 from .checkpoint import (
     Checkpoint as Checkpoint,
     Restorable as Restorable,
 )
-from .bounded_yaml import parse_yaml as parse_yaml
 from .failures import keep_going as keep_going
 from .native_libraries import (
     import_open3d as import_open3d,
