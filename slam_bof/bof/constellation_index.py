@@ -216,7 +216,7 @@ def _first_key(slices: NDArray[np.integer[Any]], shape: NDArray[np.int64]) -> ND
 
 def _ranges(
     query: PlacedBofs,
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.intp], NDArray[np.int32], NDArray[np.int32]]:
     """Return contours (R,) and ranges of keys (R,), (R,) to look each up in.
 
     Along each axis of its shape these are the two cells that are nearest.
@@ -232,5 +232,5 @@ def _ranges(
     low = np.maximum(level - MEAN_REACH, 0)
     high = np.minimum(level + MEAN_REACH + 1, MEAN_LEVELS)
     # Of the type of the keys, which would be converted otherwise.
-    low, high = ((first + level[contours]).astype(np.int32) for level in (low, high))
-    return contours, low, high
+    low, high = (first + level[contours] for level in (low, high))
+    return contours, low.astype(np.int32), high.astype(np.int32)
