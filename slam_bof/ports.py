@@ -182,6 +182,24 @@ class Backend(Protocol):
         At the start of a segment that factor is very weak, because odometry was lost in between.
         """
 
+    def set_step(
+        self, keyframe_id: int, T_before_keyframe: Pose, relative_sigmas: Array | None
+    ) -> None:
+        """Replace the odometry factor between a node and the node before it.
+
+        It takes effect in the next ``optimize``.
+
+        Parameters
+        ----------
+        keyframe_id
+            The node. It belongs to the same segment as the node before it.
+        T_before_keyframe
+            (4, 4) its pose in the camera frame of the node before it.
+        relative_sigmas
+            (2,) standard deviations of its rotation and translation, as multiples of that of an
+            average loop; None for those of ``add_keyframe``.
+        """
+
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Move nodes rigidly by ``T`` (4, 4), given in the map frame, before a loop joins them.
 

@@ -126,6 +126,18 @@ class GtsamBackend:
         self._segments.append(keyframe.segment)
         self._held.add(keyframe.segment)
 
+    def set_step(
+        self, keyframe_id: int, T_before_keyframe: Pose, relative_sigmas: Array | None
+    ) -> None:
+        """Replace the odometry factor to a node; it takes effect in the next ``optimize``."""
+        noise = self._odometry_noise
+        if relative_sigmas is not None:
+            sigmas = np.maximum(self.params.loop_sigma * relative_sigmas, STEP_FLOOR)
+            noise = gtsam.noiseModel.Diagonal.Sigmas(step_sigmas(*sigmas.tolist()))
+        motion = pose3(T_before_keyframe)
+        factor = gtsam.BetweenFactorPose3(keyframe_id - 1, keyframe_id, motion, noise)
+        self._odometry.replace(keyframe_id, factor)
+
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there.
 
@@ -204,10 +216,12 @@ class GtsamBackend:
         Robust kernels have no place in the format. Steps over which odometry was lost are left
         out too: they only keep the linear systems well-posed.
         """
-        T = self._T_odom_camera
+        steps: list[tuple[int, Any]] = [
+            (k, self._odometry.at(k)) for k in range(1, len(self._segments))
+        ]
         edges = [
-            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], self._step_information(k))
-            for k in range(1, len(T))
+            GraphEdge(k - 1, k, step.measured().matrix(), step.noiseModel().information())
+            for k, step in steps
             if self._segments[k - 1] == self._segments[k]
         ]
         edges += [
@@ -239,11 +253,6 @@ class GtsamBackend:
             return self._odometry_noise
         floor = np.diag(step_sigmas(STEP_FLOOR, STEP_FLOOR) ** 2)
         return gtsam.noiseModel.Gaussian.Covariance(keyframe.step_covariance + floor)
-
-    def _step_information(self, key: int) -> Array:
-        """Return the information (6, 6) of the step to a keyframe."""
-        factor: Any = self._odometry.at(key)
-        return np.asarray(factor.noiseModel().information())
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""

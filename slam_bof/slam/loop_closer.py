@@ -185,6 +185,7 @@ class LoopCloser:
                 track.T_odom_camera,
                 segment=track.segment,
                 step_covariance=track.step_covariance,
+                T_odom_raw=T_odom_camera,
             )
             verified = self._map.add(keyframe, frame)
             self._record(keyframe, frame, unsaved, verified)

@@ -24,7 +24,8 @@ class Keyframe:
     also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
     that the keyframe comes from: a map may hold several runs, each with its own frames and
     odometry. ``step_covariance`` (6, 6) is that of the step since the keyframe before, rotation
-    first in rad^2 and m^2, and None where the odometry's covariance is not known.
+    first in rad^2 and m^2, and None where the odometry's covariance is not known. ``T_odom_raw`` is
+    the pose from odometry as it was given.
     """
 
     id: int
@@ -37,6 +38,7 @@ class Keyframe:
     smoothed: Scene | None = None
     session: int = 0
     step_covariance: Array | None = None
+    T_odom_raw: Pose | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
