@@ -24,8 +24,8 @@ def check_backend(make: Callable[[], Backend]) -> None:
     """Check that a back-end obeys its port.
 
     Without loops the map is the odometry; true loops reduce drift, at once and at the end; a wrong
-    one among many is weighed below 0.5; ``move`` carries a part; ``set_step`` replaces steps; the graph is written as g2o;
-    the same input gives the same bytes.
+    one among many is weighed below 0.5; ``move`` carries a part; ``set_step`` replaces steps; the graph
+    is written as g2o; the same input gives the same bytes.
 
     Parameters
     ----------
