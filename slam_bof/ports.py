@@ -164,10 +164,13 @@ class Verifier(Protocol):
 
 @runtime_checkable
 class ForgettingVerifier(Verifier, Protocol):
-    """A verifier that stores what it prepares and can drop it again, for temporary queries."""
+    """A verifier that stores what it prepares and can drop it again.
+
+    This is for temporary queries and for keyframes that the map no longer uses.
+    """
 
     def forget(self, prepared: Any) -> None:
-        """Drop the data that were prepared last; raise ``ValueError`` for any other data."""
+        """Drop data that were prepared; raise ``ValueError`` if they are not stored."""
 
 
 @runtime_checkable

@@ -63,3 +63,9 @@ class GrowingArray:
     def truncate(self, n: int) -> None:
         """Keep only the first ``n`` rows."""
         self._n = min(n, self._n)
+
+    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+        """Keep only the rows where ``is_kept`` (n,) is true, in their order."""
+        kept = self.rows[is_kept]
+        self._block[: len(kept)] = kept
+        self._n = len(kept)

@@ -36,3 +36,11 @@ def test_truncated_rows_make_room_for_others():
 def test_a_row_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="broadcast"):
         GrowingArray((2,), np.float32).append([1.0, 2.0, 3.0])
+
+
+def test_rows_that_are_kept_move_up():
+    stack = GrowingArray((), np.int64)
+    stack.extend(np.arange(6))
+    stack.keep(np.array([True, False, True, False, False, True]))
+    stack.append(9)
+    assert stack.rows.tolist() == [0, 2, 5, 9]
