@@ -184,6 +184,7 @@ def finish_session(
             config.labels,
             config.rooms,
             components=closer.map.components,
+            anchors=closer.map.anchors,
         )
     store.finish(
         session.id,

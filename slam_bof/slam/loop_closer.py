@@ -161,7 +161,8 @@ class LoopCloser:
                 step_covariance=track.step_covariance,
             )
             verified = self._map.add(keyframe, frame)
-            self._save(keyframe, frame, unsaved, verified)
+            culled = self._map.cull()
+            self._save(keyframe, frame, unsaved, verified, culled)
             loops, candidates = tuple(verified.admitted), tuple(verified.candidates)
             step = Step(keyframe, keyframe.scene, loops, candidates, np.eye(4))
         else:
@@ -279,8 +280,8 @@ class LoopCloser:
     @property
     def frames_since_keyframe(self) -> list[FramePose]:
         """The frames of this session after its newest keyframe."""
-        own = self._map.of_session
-        return self.history.frames[own[-1].frame_index + 1 if own else 0 :]
+        has_own = len(self._map) > self._map.first_keyframe
+        return self.history.frames[self._map.keyframes[-1].frame_index + 1 if has_own else 0 :]
 
     def _check(self, frame: DepthFrame, T_odom_camera: Pose) -> tuple[DepthFrame, Pose]:
         """Check the input of ``process``; return it by the first frame's camera, and as float64."""
@@ -327,6 +328,7 @@ class LoopCloser:
         frame: DepthFrame,
         unsaved: tuple[FramePose, ...],
         verified: Verified,
+        culled: tuple[tuple[int, int], ...],
     ) -> None:
         """Pass the record of a new keyframe to the journal."""
         if self.journal is None:
@@ -339,6 +341,7 @@ class LoopCloser:
                 candidates=tuple(verified.candidates),
                 measured=tuple(verified.measured),
                 admitted=tuple(verified.admitted),
+                culled=culled,
                 state={
                     "tracker": self._tracker.state(),
                     "detector": self._map.state(),

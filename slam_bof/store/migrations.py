@@ -5,6 +5,7 @@ from __future__ import annotations
 import sqlite3
 
 from slam_bof.store.schema import (
+    CULLED_TABLE,
     KEY_COLUMNS,
     POSE_COLUMNS,
     SCHEMA_VERSION,
@@ -63,7 +64,7 @@ DROP TABLE old_keyframes; DROP TABLE old_parameters;
 {VIEWS}
 """
 
-MIGRATABLE_VERSIONS = (2, 3)
+MIGRATABLE_VERSIONS = (2, 3, 4)
 """Older schema versions that can be migrated."""
 
 
@@ -82,13 +83,10 @@ def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
     db.execute("PRAGMA foreign_keys = OFF")
     db.execute("PRAGMA legacy_alter_table = ON")
     try:
-        db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
-        for table in ("keyframes", "candidates", "regions"):
-            _copy_rows(db, table)
-        for statement in _LOOPS_TO_4.split(";"):
-            db.execute(statement)
-        for table in KEY_COLUMNS:
-            update_checksums(db, table)
+        if version == 4:
+            db.executescript("BEGIN;" + CULLED_TABLE)
+        else:
+            _migrate_to_4(db, version)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         db.execute("COMMIT")
     except BaseException:
@@ -98,6 +96,17 @@ def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
     db.execute("PRAGMA legacy_alter_table = OFF")
     db.execute("PRAGMA foreign_keys = ON")
     return db
+
+
+def _migrate_to_4(db: sqlite3.Connection, version: int) -> None:
+    """Begin a transaction, and change the tables of version 2 or 3."""
+    db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
+    for table in ("keyframes", "candidates", "regions"):
+        _copy_rows(db, table)
+    for statement in _LOOPS_TO_4.split(";"):
+        db.execute(statement)
+    for table in KEY_COLUMNS:
+        update_checksums(db, table)
 
 
 def _copy_rows(db: sqlite3.Connection, table: str) -> None:
