@@ -66,6 +66,10 @@ class GrowingArray:
 
     def keep(self, is_kept: NDArray[np.bool_]) -> None:
         """Keep only the rows where ``is_kept`` (n,) is true, in their order."""
-        kept = self.rows[is_kept]
-        self._block[: len(kept)] = kept
-        self._n = len(kept)
+        self._block = self.rows[is_kept]
+        self._n = len(self._block)
+
+    def put(self, index: Any, values: Any) -> None:
+        """Replace rows by an index, as in ``rows[index] = values``."""
+        self._block = self._block.copy()
+        self.rows[index] = values

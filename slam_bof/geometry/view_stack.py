@@ -98,7 +98,7 @@ class ViewStack:
             if row == len(stack):
                 stack.append(values)
             else:
-                stack.rows[row] = values
+                stack.rows[row] = values  # in place: nothing reads a row that is free
         self._row_of_id.append(row)
 
     def __len__(self) -> int:
@@ -110,13 +110,19 @@ class ViewStack:
         if not 0 <= view_id < len(self) or self._row_of_id.rows[view_id] == DROPPED:
             raise KeyError(f"no view {view_id}")
         self._free_rows.append(int(self._row_of_id.rows[view_id]))
-        self._row_of_id.rows[view_id] = DROPPED
+        self._row_of_id.put(view_id, DROPPED)
 
     def truncate(self, n: int) -> None:
         """Keep only the views with ids below ``n``; the next id is ``n``."""
         dropped = self._row_of_id.rows[n:]
-        self._free_rows += dropped[dropped != DROPPED][::-1].tolist()
+        self._free_rows += dropped[dropped != DROPPED].tolist()
         self._row_of_id.truncate(n)
+        if self._camera is None:
+            return
+        n_rows = int(self._row_of_id.rows.max(initial=DROPPED)) + 1
+        for stack in (self._depths_m, self._normals, self._sampled, self._surface):
+            stack.truncate(n_rows)
+        self._free_rows = [row for row in self._free_rows if row < n_rows]
 
     @property
     def nbytes(self) -> int:

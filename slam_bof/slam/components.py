@@ -48,15 +48,15 @@ class MapComponents:
         older, younger = int(joined.min()), int(joined.max())
         if older == younger:
             return
-        for rows in (self._of_keyframe.rows, self._in_use.rows):
-            rows[rows == younger] = older
+        for components in (self._of_keyframe, self._in_use):
+            components.put(components.rows == younger, older)
         for segment, component in self._of_segment.items():
             if component == younger:
                 self._of_segment[segment] = older
 
     def cull(self, keyframe_ids: list[int]) -> None:
         """Count keyframes as no longer in use."""
-        self._in_use.rows[keyframe_ids] = CULLED
+        self._in_use.put(keyframe_ids, CULLED)
 
     def of_keyframes(self) -> NDArray[np.int64]:
         """Return the component (K,) of each keyframe, named by the first of its segments."""

@@ -85,8 +85,9 @@ class MapGraph:
         """
         culled = list(anchors)
         T = self._T_map_camera.rows
-        self._T_anchor_keyframe.rows[culled] = se3.inverse(T[list(anchors.values())]) @ T[culled]
-        self._anchors.rows[culled] = list(anchors.values())
+        of_anchors = list(anchors.values())
+        self._T_anchor_keyframe.put(culled, se3.inverse(T[of_anchors]) @ T[culled])
+        self._anchors.put(culled, of_anchors)
         assert isinstance(self.backend, ContractingBackend)
         self.backend.contract(anchors, max_edges)
         self.components.cull(culled)
@@ -123,6 +124,7 @@ class MapGraph:
         return self._anchors.rows
 
     def _refresh(self) -> None:
+        """Read the poses of keyframes in use from the back-end."""
         self._T_map_camera.rows[self.in_use] = self.backend.poses()
 
     def _travelled_m(self) -> float:

@@ -42,5 +42,8 @@ def test_rows_that_are_kept_move_up():
     stack = GrowingArray((), np.int64)
     stack.extend(np.arange(6))
     stack.keep(np.array([True, False, True, False, False, True]))
+    before = stack.rows
     stack.append(9)
-    assert stack.rows.tolist() == [0, 2, 5, 9]
+    stack.put([0, 1], 7)
+    assert stack.rows.tolist() == [7, 7, 5, 9]
+    assert before.tolist() == [0, 2, 5]
