@@ -2,6 +2,10 @@ from . import registry as registry
 from .arrays import (
     GrowingArray as GrowingArray,
 )
+from .checkpoint import (
+    Checkpoint as Checkpoint,
+    Restorable as Restorable,
+)
 from .failures import keep_going as keep_going
 from .native_libraries import (
     import_open3d as import_open3d,

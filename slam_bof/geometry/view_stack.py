@@ -254,7 +254,9 @@ class ViewStack:
     def _inverse_depth_at(self, addresses: Indices) -> Floats:
         """Return 1 / depth at flat indices, 0 where no depth is known."""
         depth_m = self._depths_m.rows.reshape(-1).take(addresses, mode="clip")
-        return np.divide(np.float32(1.0), depth_m, out=np.zeros_like(depth_m), where=depth_m > 0)
+        inverse = np.zeros_like(depth_m)
+        np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
+        return inverse
 
     def _rows(self, views: int | Indices) -> Indices:
         """Return the rows of views; ``KeyError`` if one was dropped."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import GrowingArray
+from slam_bof.core import Checkpoint, GrowingArray
 from slam_bof.geometry import se3
 from slam_bof.ports import Backend, ContractingBackend
 from slam_bof.slam.components import MapComponents
@@ -122,6 +122,17 @@ class MapGraph:
     def anchors(self) -> NDArray[np.int64]:
         """The id (K,) of each keyframe, or that of its anchor if it was culled."""
         return self._anchors.rows
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the present graph; see ``core.Checkpoint``."""
+        before = Checkpoint()
+        before.save(vars(self))
+
+        def restore() -> None:
+            before.restore()
+            self._refresh()
+
+        return restore
 
     def _refresh(self) -> None:
         """Read the poses of keyframes in use from the back-end."""

@@ -42,8 +42,11 @@ def test_rows_that_are_kept_move_up():
     stack = GrowingArray((), np.int64)
     stack.extend(np.arange(6))
     stack.keep(np.array([True, False, True, False, False, True]))
-    before = stack.rows
+    restore = stack.checkpoint()
     stack.append(9)
     stack.put([0, 1], 7)
     assert stack.rows.tolist() == [7, 7, 5, 9]
-    assert before.tolist() == [0, 2, 5]
+    stack.keep(np.array([False, True, True, False]))
+    assert stack.rows.tolist() == [7, 5]
+    restore()
+    assert stack.rows.tolist() == [0, 2, 5]

@@ -133,6 +133,37 @@ def test_an_interrupted_run_goes_on_as_if_it_had_not_been(tour, culled, tmp_path
     np.testing.assert_allclose(resumed.map.poses(), whole.map.poses(), atol=1e-9)
 
 
+@pytest.mark.parametrize("part", ["graph.cull", "_detector.remove", "_verification.remove"])
+def test_culling_happens_whole_or_not_at_all(tour, culled, monkeypatch, part):
+    """The first time, each part of it has happened when something goes wrong."""
+    whole, _, records = culled
+    n_frames = next(k for k, record in enumerate(records) if record.culled) + 3
+    again = []
+    closer = LoopCloser.from_config(CONFIG, journal=again.append)
+    owner, method = part.split(".")
+    happen = getattr(getattr(closer.map, owner), method)
+
+    def fail(*arguments):
+        happen(*arguments)
+        monkeypatch.undo()
+        raise MemoryError
+
+    monkeypatch.setattr(type(getattr(closer.map, owner)), method, lambda _, *a: fail(*a))
+    n_failed = 0
+    for frame, T in zip(tour[0][:n_frames], tour[1], strict=False):
+        try:
+            closer.process(frame, T)
+        except MemoryError:
+            n_failed += 1
+            assert len(closer.map.in_use) == len(closer.map) == len(again)
+            closer.process(frame, T)
+    assert n_failed == 1
+    for one, other in zip(again, records, strict=False):
+        assert one.culled == other.culled
+        assert [c.match_id for c in one.candidates] == [c.match_id for c in other.candidates]
+    np.testing.assert_array_equal(closer.map.anchors, whole.map.anchors[:n_frames])
+
+
 def known_graph(slip_m=0.0):
     """Return the graph of three rounds, 4 mm and 0.004 rad apart, with loops to the first one.
 
