@@ -10,7 +10,7 @@ number of keyframes depends on the size of the place, not on the time spent in i
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from pydantic import Field
@@ -98,18 +98,18 @@ class KeyframeCulling:
         for keyframe_id in list(self.undecided):
             if newest - keyframe_id <= self._window or keyframe_id in waiting:
                 continue
-            anchor = self._anchor(keyframe_id, graph)
+            anchor = self._anchor(keyframe_id, graph, [*self.undecided, *anchors])
             self.undecided.remove(keyframe_id)
             if anchor is not None:
                 anchors[keyframe_id] = anchor
         return anchors
 
-    def _anchor(self, keyframe_id: int, graph: MapGraph) -> int | None:
-        """Return the anchor of a keyframe, or None if it is to be kept."""
+    def _anchor(self, keyframe_id: int, graph: MapGraph, others: Sequence[int]) -> int | None:
+        """Return the anchor of a keyframe, none of ``others``, or None if it is to be kept."""
         p, T_map_camera = self.params, graph.T_map_camera
         loops = [loop for loop in graph.log.of(keyframe_id) if loop.kind == EdgeKind.LOOP]
         older = graph.in_use[graph.in_use < keyframe_id]
-        older = older[~np.isin(older, self.undecided)]
+        older = older[~np.isin(older, others)]
         components = graph.components.in_use()
         older = older[components[older] == components[keyframe_id]]
         T = se3.inverse(T_map_camera[keyframe_id]) @ T_map_camera[older]
