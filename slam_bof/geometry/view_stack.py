@@ -254,7 +254,7 @@ class ViewStack:
     def _inverse_depth_at(self, addresses: Indices) -> Floats:
         """Return 1 / depth at flat indices, 0 where no depth is known."""
         depth_m = self._depths_m.rows.reshape(-1).take(addresses, mode="clip")
-        inverse = np.zeros_like(depth_m)
+        inverse: Floats = np.zeros_like(depth_m)
         np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
         return inverse
 

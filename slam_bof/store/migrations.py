@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sqlite3
+from pathlib import Path
 
+from slam_bof.errors import MapError
+from slam_bof.store.row_checks import find_fault
 from slam_bof.store.schema import (
     CULLED_TABLE,
     KEY_COLUMNS,
@@ -13,6 +16,7 @@ from slam_bof.store.schema import (
     TABLES,
     VIEWS,
 )
+from slam_bof.store.schema_repair import STATEMENTS, find_additions
 from slam_bof.store.sqlite import columns, prepare, update_checksums
 
 __all__ = ["MIGRATABLE_VERSIONS", "migrate"]
@@ -29,6 +33,8 @@ CREATE TABLE regions (
 """
 
 _OLD = ("keyframes", "candidates", "regions", "parameters", "loops")
+_TABLES_4 = tuple(name for name in KEY_COLUMNS if name != "culled")
+_OLD_VIEWS = ("keyframe_labels", "loop_audit")
 
 _TO_4 = f"""
 DROP VIEW keyframe_labels;
@@ -68,12 +74,24 @@ MIGRATABLE_VERSIONS = (2, 3, 4)
 """Older schema versions that can be migrated."""
 
 
-def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
+def migrate(
+    db: sqlite3.Connection, version: int, path: Path, *, in_place: bool
+) -> sqlite3.Connection:
     """Migrate a map to the current schema version and return its connection.
 
     Without ``in_place`` the map is copied to memory and the copy migrated. Maps before version 4
     have no depth images: they can be read, but their places cannot be recognised.
+
+    Raises
+    ------
+    MapError
+        If it has triggers or other additions, or, with ``in_place``, is damaged.
     """
+    tables, views = (_TABLES_4, (*_OLD_VIEWS, "loops")) if version == 4 else (_OLD, _OLD_VIEWS)
+    expected = {("table", name) for name in tables} | {("view", name) for name in views}
+    statements = db.execute(STATEMENTS).fetchall()
+    if added := find_additions(expected, map(tuple, statements)):
+        raise MapError(f"{path}: found {added}")
     if not in_place:
         copy = sqlite3.connect(":memory:", isolation_level=None)
         prepare(copy)
@@ -86,7 +104,7 @@ def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
         if version == 4:
             db.executescript("BEGIN;" + CULLED_TABLE)
         else:
-            _migrate_to_4(db, version)
+            _migrate_to_4(db, version, path, in_place=in_place)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         db.execute("COMMIT")
     except BaseException:
@@ -98,7 +116,7 @@ def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
     return db
 
 
-def _migrate_to_4(db: sqlite3.Connection, version: int) -> None:
+def _migrate_to_4(db: sqlite3.Connection, version: int, path: Path, *, in_place: bool) -> None:
     """Begin a transaction, and change the tables of version 2 or 3."""
     db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
     for table in ("keyframes", "candidates", "regions"):
@@ -107,6 +125,8 @@ def _migrate_to_4(db: sqlite3.Connection, version: int) -> None:
         db.execute(statement)
     for table in KEY_COLUMNS:
         update_checksums(db, table)
+    if in_place:
+        _check_rows(db, path)
 
 
 def _copy_rows(db: sqlite3.Connection, table: str) -> None:
@@ -115,3 +135,14 @@ def _copy_rows(db: sqlite3.Connection, table: str) -> None:
     extra, of_extra = (", session", ", 0") if table == "keyframes" else ("", "")
     names = ", ".join(shared)
     db.execute(f"INSERT INTO {table} ({names}{extra}) SELECT {names}{of_extra} FROM old_{table}")
+
+
+def _check_rows(db: sqlite3.Connection, path: Path) -> None:
+    """Check everything before it gets checksums for good: old maps have none."""
+    for table, key in KEY_COLUMNS.items():
+        for row in db.execute(f"SELECT * FROM {table}"):
+            if fault := find_fault(table, row):
+                raise MapError(
+                    f"{path}: found {table}, row {row[key]}, which {fault}, expected a whole map "
+                    "to upgrade; slam-bof map recover copies the intact rows into a new map"
+                )

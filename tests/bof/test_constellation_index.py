@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from slam_bof.bof import ConstellationIndex, pack_constellation, unpack_constellation
+from slam_bof.bof import (
+    ConstellationIndex,
+    IndexParams,
+    pack_constellation,
+    unpack_constellation,
+)
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs, encode
 from slam_bof.bof.posting_lists import PostingLists, Postings
 
@@ -158,3 +163,20 @@ def test_views_that_are_not_kept_are_as_if_they_had_never_been_added():
         found, expected = index.find(view(seed), 20), other.find(view(seed), 20)
         np.testing.assert_array_equal(found.view_ids, expected.view_ids)
         np.testing.assert_array_equal(found.scores, expected.scores)
+
+
+def test_common_shapes_do_not_vote_where_votes_are_many(index):
+    """With a tenth of the votes, most views are found all the same; without any, none is."""
+    few = ConstellationIndex(IndexParams(max_votes=400))
+    none = ConstellationIndex(IndexParams(max_votes=1))
+    for seed in range(400):
+        few.add(view(seed))
+        none.add(view(seed))
+    found = 0
+    for place in range(0, 400, 20):
+        query = seen_again(view(place), 0.3, 0.2 + 0.1j, seed=place, share=0.8)
+        candidates = few.candidates(query, 10)
+        found += place in candidates
+        assert len(candidates) <= len(index.candidates(query, 10))
+        assert len(none.candidates(query, 10)) == 0
+    assert found >= 12
