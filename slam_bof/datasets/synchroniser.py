@@ -88,6 +88,11 @@ class FramePoseSynchroniser:
         """Return how many frames wait for their pose."""
         return len(self._frames)
 
+    @property
+    def waiting_stamps_s(self) -> list[float]:
+        """Return the times of the frames that wait for their pose, oldest first."""
+        return [frame.stamp_s for frame in self._frames]
+
     def add_frame(self, frame: DepthFrame) -> bool:
         """Add a frame, in any order; return whether it was accepted.
 

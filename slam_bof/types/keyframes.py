@@ -48,8 +48,9 @@ class KeyframeRecord:
     ``frames`` are the frames after the keyframe before, up to and including this one.
     ``measured`` are the loops of this keyframe that geometry verified. ``admitted`` are the loops
     that entered the graph with it, in that order: some of ``measured`` may be missing, and held
-    loops of earlier keyframes may be among them. ``state`` is the remaining state of the plug-in
-    as JSON values.
+    loops of earlier keyframes may be among them. ``culled`` are the ids of keyframes that the map
+    let go of with it, each with the id of its anchor, which its pose is fixed to. ``state`` is the
+    remaining state of the plug-in as JSON values.
     """
 
     keyframe: Keyframe
@@ -59,6 +60,7 @@ class KeyframeRecord:
     measured: tuple[Loop, ...]
     admitted: tuple[Loop, ...]
     state: dict[str, Any]
+    culled: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
