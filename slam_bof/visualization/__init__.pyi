@@ -10,7 +10,11 @@ from .misses_page import (
     find_missed_queries as find_missed_queries,
     write_missed_queries as write_missed_queries,
 )
+from .plan import (
+    Plan as Plan,
+)
 from .run_report import (
+    FrameHealth as FrameHealth,
     ReportData as ReportData,
     write_report as write_report,
 )
