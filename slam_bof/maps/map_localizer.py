@@ -73,7 +73,7 @@ class MapLocalizer:
             If the model that the map was made with is missing.
         """
         path = Path(path)
-        with MapStore.open(path) as store:
+        with MapStore.open(path) as store, store.snapshot():
             sessions, camera = store.sessions(), store.intrinsics()
             keyframes, T_map_camera = store.keyframes(), store.map_poses()
             if not keyframes:
@@ -105,7 +105,7 @@ class MapLocalizer:
                     raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
                 localizer.add(frame, T_map_camera[k])
         own = [keyframes[k] for k in largest]
-        return cls(localizer, own, model.labeller(), camera, config.sensor)
+        return cls(localizer, own, model.labeller(config.labels.by), camera, config.sensor)
 
     def __len__(self) -> int:
         """Return the number of keyframes that images are compared with."""

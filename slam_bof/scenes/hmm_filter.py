@@ -14,6 +14,8 @@ run is finished, ``hmm_smoother`` assigns the evidence to the places that were s
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
@@ -38,8 +40,13 @@ MIN_PROBABILITY = 1e-6
 
 
 class SceneFilterParams(Params):
-    """Parameters of the hidden Markov model of scene labels."""
+    """What labels keyframes, and the hidden Markov model of their labels."""
 
+    by: Literal["levelled", "bag"] = Field(
+        "levelled",
+        description="Classifier of keyframes: levelled for features of the levelled view (if the "
+        "model has them, else bag), bag for the bag of words of the frame, as in the paper.",
+    )
     mean_stay_s: float = Field(
         60.0, gt=0, description="Mean time that the camera stays in a room, in seconds."
     )

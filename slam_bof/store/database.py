@@ -91,11 +91,11 @@ class MapDatabase:
                 on_error.callback(lambda: db.close())
                 version = _version(db, path)
                 if version != SCHEMA_VERSION:
-                    db = migrate(db, version, in_place=not read_only)
+                    db = migrate(db, version, path, in_place=not read_only)
                 wrong = check_schema(db)
                 if wrong:
                     raise MapError(
-                        f"{path}: found a damaged database schema ({wrong}); "
+                        f"{path}: found {wrong}; "
                         "slam-bof map recover copies the intact rows into a new map"
                     )
                 if lock is not None:
@@ -131,6 +131,20 @@ class MapDatabase:
     def connection(self) -> sqlite3.Connection:
         """The underlying SQLite connection."""
         return self._db
+
+    @contextlib.contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Read one state of the map in all selects of the block, also while it is written."""
+        if self._db.in_transaction:
+            yield
+            return
+        with as_map_errors(self.path):
+            self._db.execute("BEGIN")
+        try:
+            yield
+        finally:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
 
     def select(self, statement: str, *values: object) -> list[Any]:
         """Return the rows of a SELECT; they can be indexed by column name."""

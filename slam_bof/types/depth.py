@@ -24,6 +24,8 @@ MIN_FOCAL = 0.05
 """Smallest plausible focal length, as a share of the image's size along the same axis."""
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
+MAX_PIXELS = 1 << 24
+"""Largest plausible number of pixels of a depth image; depth cameras have up to some 5 million."""
 SAME_CAMERA = 0.005
 """Largest relative difference of the intrinsics of one camera, whose focus may move a little."""
 
@@ -64,7 +66,8 @@ class Intrinsics:
     Raises
     ------
     ValueError
-        If the numbers cannot be of a camera with such images: a focal length is not positive or
+        If the numbers cannot be of a camera with such images: the image has more than 16.8 million
+        pixels, a focal length is not positive or
         below 5 % of the image's size (a field of view of more than 168 degrees), or the principal
         point lies outside the image or in the 5 % along its edges.
     """
@@ -84,6 +87,11 @@ class Intrinsics:
             object.__setattr__(self, name, float(getattr(self, name)))
         if min(self.width, self.height) < 1:
             raise ValueError(f"found an image of {self.width}x{self.height} pixels, expected some")
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(
+                f"found an image of {self.width}x{self.height} pixels, "
+                f"expected at most {MAX_PIXELS}"
+            )
         for axis, size, focal, center in (
             ("x", self.width, self.fx, self.cx),
             ("y", self.height, self.fy, self.cy),
