@@ -245,6 +245,7 @@ class LoopCloser:
             T_map_camera @ se3.inverse(T_odom_camera),
             is_lost=track.is_lost,
             open_axes=track.open_axes,
+            T_map_camera=T_map_camera,
         )
 
     @one_blas_thread()

@@ -5,6 +5,9 @@ from .bof_figures import (
 from .figures import (
     draw_precision_recall as draw_precision_recall,
 )
+from .live_view import (
+    LiveView as LiveView,
+)
 from .matrix_images import (
     draw_loop_matrix as draw_loop_matrix,
     write_png as write_png,
