@@ -73,7 +73,8 @@ class Step:
     ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
     wrong and no better one is known. ``open_axes`` (6, k) are the directions in which the surfaces
     in sight hold nothing, as tangents of the camera's pose, rotation first; the pose along them is
-    that of odometry.
+    that of odometry. ``T_map_camera`` is the pose of the frame in the map; None for a frame that
+    was restored from an interrupted run.
     """
 
     keyframe: Keyframe | None
@@ -83,6 +84,7 @@ class Step:
     T_map_odom: Pose
     is_lost: bool = False
     open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+    T_map_camera: Pose | None = None
 
     @property
     def health(self) -> str:
