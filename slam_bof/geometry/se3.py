@@ -32,6 +32,8 @@ __all__ = [
 TOLERANCE = 1e-2
 """Largest deviation of ``R.T @ R`` from the identity in a transform given by the user. It permits
 numbers with few digits."""
+MAX_POSITION_M = 1e8
+"""Largest coordinate of a position given by the user; geocentric ones have 6.4e6 m."""
 
 
 def check_rigid(T: Array) -> None:
@@ -51,6 +53,8 @@ expected an orthonormal one of determinant 1
         raise ValueError(f"found an array {T.shape}, expected a (4, 4) transform")
     if not np.isfinite(T).all():
         raise ValueError("found NaN or infinity, expected 12 finite numbers")
+    if (farthest_m := float(np.abs(T[:3, 3]).max())) > MAX_POSITION_M:
+        raise ValueError(f"found a position at {farthest_m:g} m, expected metres")
     R = T[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     determinant = float(np.linalg.det(R))
