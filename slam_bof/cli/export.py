@@ -91,7 +91,7 @@ def export(
         out = out.with_suffix(".yaml")
     elif format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):
         out = out.with_name(f"{out.name}.yaml")
-    with MapStore.open(map_file(map_)) as store:
+    with MapStore.open(map_file(map_)) as store, store.snapshot():
         inside = choose_component(store, component, session=session)
         if inside.any():
             component = int(components_of(store)[inside][0])

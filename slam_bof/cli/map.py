@@ -42,7 +42,7 @@ def info(map_: MAP, as_json: JSON = False) -> None:
     from slam_bof.types import EdgeKind
 
     path = map_file(map_)
-    with MapStore.open(path) as store:
+    with MapStore.open(path) as store, store.snapshot():
         keyframes, loops, regions = store.keyframes(), store.loops(), store.regions()
         counts = {k: sum(f.session == k for f in keyframes) for k in range(len(store.sessions()))}
         sessions = [
@@ -168,6 +168,8 @@ def recover(map_: MAP, out: NEW, as_json: JSON = False) -> None:
         print_json({"file": str(out), **found._asdict()})
     else:
         typer.echo(f"{out}: {found.n_keyframes} keyframes, {found.n_lost} lost")
+        if found.is_camera_lost:
+            typer.echo("the camera is lost: poses and labels can be used, depth images cannot")
 
 
 @app.command()
@@ -221,9 +223,10 @@ def finish(map_: MAP, as_json: JSON = False) -> None:
 def vacuum(map_: MAP, as_json: JSON = False) -> None:
     """Rebuild the file of a map without the space of deleted rows."""
     from slam_bof.cli.console import print_json
-    from slam_bof.store import MapStore
+    from slam_bof.store import MapStore, require_intact
 
     path = map_file(map_)
+    require_intact(path)
     before = path.stat().st_size if path.is_file() else 0
     with MapStore.open(path, read_only=False) as store:
         store.vacuum()

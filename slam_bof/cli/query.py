@@ -137,7 +137,7 @@ def keyframes(
     if time is not None and near is not None:
         raise typer.BadParameter("found both --time and --near, expected one order")
     form: Format = "json" if as_json else format_
-    with MapStore.open(map_file(map_)) as store:
+    with MapStore.open(map_file(map_)) as store, store.snapshot():
         records = query_keyframes(
             store,
             keyframe_id=keyframe,
@@ -167,7 +167,7 @@ def rooms(
     """Print the rooms of a saved map: their labels and extents."""
     from slam_bof.store import MapStore, query_rooms
 
-    with MapStore.open(map_file(map_)) as store:
+    with MapStore.open(map_file(map_)) as store, store.snapshot():
         found = query_rooms(store, scene=scene, min_probability=min_probability)
         rows = _rooms(store, found[:limit])
     show_rows(rows, ROOMS, "json" if as_json else format_)
@@ -190,7 +190,7 @@ def loops(
 
     if accepted and rejected:
         raise typer.BadParameter("found both --accepted and --rejected, expected one of them")
-    with MapStore.open(map_file(map_)) as store:
+    with MapStore.open(map_file(map_)) as store, store.snapshot():
         found = query_loops(store, keyframe_id=keyframe, considered=not accepted)
     if rejected:
         found = [record for record in found if record.decision != "accepted"]

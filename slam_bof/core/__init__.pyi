@@ -2,6 +2,11 @@ from . import registry as registry
 from .arrays import (
     GrowingArray as GrowingArray,
 )
+from .bounded_yaml import parse_yaml as parse_yaml
+from .checkpoint import (
+    Checkpoint as Checkpoint,
+    Restorable as Restorable,
+)
 from .failures import keep_going as keep_going
 from .native_libraries import (
     import_open3d as import_open3d,
@@ -10,6 +15,7 @@ from .native_libraries import (
     one_native_thread as one_native_thread,
     silenced as silenced,
 )
+from .npy import parse_npy as parse_npy
 from .registry import (
     open_dataset as open_dataset,
 )

@@ -10,6 +10,9 @@ from pydantic import BaseModel, ValidationError
 
 __all__ = ["describe_error", "suggest"]
 
+MAX_SHOWN = 100
+"""Characters of a key or value that a message shows."""
+
 
 def describe_error(error: ValidationError, model: type[BaseModel]) -> str:
     """Return a message that names the wrong key, what was found and what was expected.
@@ -33,14 +36,14 @@ def describe_error(error: ValidationError, model: type[BaseModel]) -> str:
     """
     first = error.errors()[0]
     path = tuple(str(part) for part in first["loc"])
-    key = ".".join(path)
+    key = ".".join(path)[:MAX_SHOWN]
     if first["type"] == "extra_forbidden":
         return f"unknown key {key!r}; {suggest(path[-1], _keys(model, path[:-1]))}"
     if first["type"] == "missing":
         return f"key {key!r}: found none, expected one"
-    message = first["msg"].removeprefix("Value error, ")
+    message = first["msg"].removeprefix("Value error, ")[: 3 * MAX_SHOWN]
     expected = message[:1].lower() + message[1:]
-    return f"key {key!r}: found {first['input']!r}, {expected}" if key else expected
+    return f"key {key!r}: found {repr(first['input'])[:MAX_SHOWN]}, {expected}" if key else expected
 
 
 def suggest(word: str, known: Sequence[str]) -> str:

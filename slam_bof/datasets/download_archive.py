@@ -1,13 +1,16 @@
 """Unpack archives of unknown origin safely.
 
 Every byte is checked by checksum. Only files and folders within the target folder are written, no
-links, and not more than the disk can hold or a hundred times the size of the archive.
+links, and all together, archives within the archive included, not more than the disk can hold or a
+hundred times the size of the archive.
 """
 
 from __future__ import annotations
 
+import gzip
 import shutil
 import stat
+import struct
 import tarfile
 import zipfile
 import zlib
@@ -15,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import IO
+from typing import IO, Any, cast
 
 from slam_bof.errors import DatasetError
 
@@ -25,6 +28,19 @@ Progress = Callable[[int, int], None]
 """Called with the number of bytes of the archive that are unpacked, and of all."""
 
 CHUNK_BYTES = 1 << 20
+
+
+DAMAGED = (
+    zipfile.BadZipFile,
+    tarfile.TarError,
+    zlib.error,
+    struct.error,
+    EOFError,
+    LookupError,
+    ValueError,  # names in no known coding
+    OverflowError,
+)
+"""What the libraries raise for damaged archives."""
 
 
 class BadArchive(DatasetError):
@@ -75,26 +91,25 @@ def unpack(
     DatasetError
         If the disk is full or cannot be written.
     """
-    limits = limits or Limits()
     folder.mkdir(parents=True, exist_ok=True)
-    inner = [folder / name for name in _unpack_one(archive, folder, limits, progress)]
+    budget = _Budget(archive, folder, limits or Limits())
+    inner = [folder / name for name in _unpack_one(archive, folder, budget, progress)]
     for nested in sorted(path for path in inner if path.suffix.lower() == ".zip"):
-        _unpack_one(nested, nested.parent, limits, progress)
+        _unpack_one(nested, nested.parent, budget, progress)
         nested.unlink()
 
 
 def _unpack_one(
-    archive: Path, folder: Path, limits: Limits, progress: Progress | None
+    archive: Path, folder: Path, budget: _Budget, progress: Progress | None
 ) -> list[PurePosixPath]:
     """Unpack an archive; return the names of its files."""
     unpack_kind = _unpack_zip if archive.suffix.lower() == ".zip" else _unpack_tar
-    budget = _Budget(archive, folder, limits)
     with _naming(archive):
         return unpack_kind(archive, folder, budget, progress or (lambda done, total: None))
 
 
 class _Budget:
-    """Counts entries and bytes of an archive, and refuses those beyond the limits."""
+    """Counts entries and bytes of an archive, at all levels, and refuses too many."""
 
     def __init__(self, archive: Path, folder: Path, limits: Limits) -> None:
         self._archive = archive
@@ -102,17 +117,19 @@ class _Budget:
         self._n_bytes = 0
         self._limits = limits
         size = archive.stat().st_size
-        self._most = max(limits.ratio * size, limits.free_of_ratio_bytes)
+        self.n_most = max(int(limits.ratio * size), limits.free_of_ratio_bytes)
         self._free = shutil.disk_usage(folder).free - limits.margin_bytes
 
     def take(self, n_bytes: int) -> None:
         """Count an entry of ``n_bytes`` bytes before it is written."""
+        if n_bytes < 0:
+            self._refuse(f"an entry of {n_bytes} bytes", "some or none")
         self._n_entries += 1
         self._n_bytes += n_bytes
         if self._n_entries > self._limits.n_entries:
             self._refuse(f"more than {self._limits.n_entries} entries", "a data set")
-        if self._n_bytes > self._most:
-            self._refuse(f"more than {self._most:.0f} bytes inside", "a data set, not a bomb")
+        if self._n_bytes > self.n_most:
+            self._refuse(f"more than {self.n_most} bytes inside", "a data set, not a bomb")
         if self._n_bytes > self._free:
             raise DatasetError(
                 f"{self._archive}: found {self._n_bytes} bytes inside and more, "
@@ -131,6 +148,8 @@ def _unpack_zip(
         entries = packed.infolist()
         for entry in entries:  # all are checked before the first is written
             _inside(archive, entry.filename)
+            if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                raise NotImplementedError(f"found compression {entry.compress_type}")
             mode = entry.external_attr >> 16
             if stat.S_IFMT(mode) not in (0, stat.S_IFREG, stat.S_IFDIR):
                 raise _elsewhere(archive, entry.filename, "a link or device")
@@ -155,7 +174,11 @@ def _unpack_tar(
 ) -> list[PurePosixPath]:
     names = []
     total = archive.stat().st_size
-    with archive.open("rb") as raw, tarfile.open(fileobj=raw, mode="r:gz") as packed:
+    with (
+        archive.open("rb") as raw,
+        gzip.GzipFile(fileobj=raw) as unzipped,
+        tarfile.open(fileobj=cast(Any, _Bounded(unzipped, 2 * budget.n_most)), mode="r:") as packed,
+    ):
         for entry in packed:
             name = _inside(archive, entry.name)
             budget.take(entry.size)
@@ -173,6 +196,30 @@ def _unpack_tar(
         while packed.fileobj is not None and packed.fileobj.read(CHUNK_BYTES):
             pass
     return names
+
+
+class _Bounded:
+    """A stream for ``tarfile``, which believes the sizes of headers, gigabytes too."""
+
+    def __init__(self, stream: gzip.GzipFile, n_most: int) -> None:
+        self._stream = stream
+        self._n_most = n_most
+
+    def read(self, n_bytes: int) -> bytes:
+        """Return the next bytes; refuse a large or negative number, as of a header."""
+        if not 0 <= n_bytes <= CHUNK_BYTES or self.tell() > self._n_most:
+            raise tarfile.ReadError(f"{n_bytes} bytes at {self.tell()} are too many for an entry")
+        return self._stream.read(n_bytes)
+
+    def seek(self, position: int) -> int:
+        """Go on to a position, over what is not read."""
+        if not self.tell() <= position <= self._n_most:
+            raise tarfile.ReadError(f"an entry at {position} after {self.tell()}")
+        return self._stream.seek(position)
+
+    def tell(self) -> int:
+        """Return the position in the unpacked stream."""
+        return self._stream.tell()
 
 
 def _write(source: IO[bytes], path: Path) -> None:
@@ -199,13 +246,18 @@ def _naming(archive: Path) -> Iterator[None]:
     """Turn errors of the libraries about damaged archives into one line that names the file."""
     try:
         yield
-    except (zipfile.BadZipFile, tarfile.TarError, zlib.error, EOFError) as error:
-        reason = " ".join(str(error).split())
-        raise BadArchive(f"{archive}: found damage ({reason}), expected a whole archive") from error
     except (NotImplementedError, RuntimeError) as error:  # unknown compression, or a password
-        raise BadArchive(f"{archive}: cannot be unpacked: {error}") from error
+        raise BadArchive(f"{archive}: cannot be unpacked: {_in_one_line(error)}") from error
+    except DAMAGED as error:
+        raise BadArchive(
+            f"{archive}: found damage ({_in_one_line(error)}), expected a whole archive"
+        ) from error
     except OSError as error:
         if error.errno is None:  # gzip: not a gzip file
             raise BadArchive(f"{archive}: found damage ({error}), expected an archive") from error
         place = error.filename or archive
         raise DatasetError(f"{place}: cannot be unpacked: {error.strerror}") from error
+
+
+def _in_one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from slam_bof.datasets.download_connection import Watchdog, open_url, printable
 from slam_bof.errors import DatasetError
 
 __all__ = ["Progress", "fetch"]
@@ -30,12 +31,15 @@ Progress = Callable[[int, int], None]
 
 CHUNK_BYTES = 1 << 20
 TIMEOUT_S = 60.0
+"""A server that sends less than ``MIN_BYTES`` in this time is as good as none."""
+MIN_BYTES = 60_000
 N_ATTEMPTS = 5
 WAIT_S = 2.0
 MARGIN_BYTES = 200_000_000
 """Disk space that is left free."""
 
-CONTENT_RANGE = re.compile(r"bytes (?:(\d+)-\d+|\*)/(\d+)")
+NUMBER = "[0-9]{1,18}"
+CONTENT_RANGE = re.compile(rf"bytes (?:({NUMBER})-{NUMBER}|\*)/({NUMBER})")
 PASSING = (429, 500, 502, 503, 504)
 """Status codes of temporary failures."""
 
@@ -103,13 +107,13 @@ def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
     have, notes = _size(part), _read_notes(part)
     if have and not notes.get("version"):
         have = 0  # the version of these bytes is unknown
-    request = urllib.request.Request(url, headers={"User-Agent": "slam-bof"})
-    if have:
-        request.add_header("Range", f"bytes={have}-")
-        request.add_header("If-Range", notes["version"])
     try:
-        with urllib.request.urlopen(request, timeout=TIMEOUT_S) as answer:
-            _receive(url, part, answer, have, progress)
+        request = urllib.request.Request(url, headers={"User-Agent": "slam-bof"})
+        if have:
+            request.add_header("Range", f"bytes={have}-")
+            request.add_header("If-Range", notes["version"])
+        with Watchdog(TIMEOUT_S, MIN_BYTES) as watchdog, open_url(request, watchdog) as answer:
+            _receive(url, part, answer, have, watchdog, progress)
     except urllib.error.HTTPError as error:
         error.close()
         if error.code == http.HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE and have:
@@ -119,30 +123,30 @@ def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
             part.unlink()
             raise _Cut("found that the file has changed; starting again") from error
         if error.code in PASSING:
-            raise _Cut(f"found {error.code} {error.reason}") from error
-        raise DatasetError(f"{url}: found {error.code} {error.reason}, expected a file") from error
+            raise _Cut(f"found {error.code} {printable(error.reason)}") from error
+        found = f"{error.code} {printable(error.reason)}"
+        raise DatasetError(f"{url}: found {found}, expected a file") from error
     except urllib.error.URLError as error:
-        raise _Unreachable(f"cannot be reached ({error.reason})") from error
+        raise _Unreachable(f"cannot be reached ({printable(error.reason)})") from error
+    except (ValueError, http.client.InvalidURL) as error:  # a name of a server that is none
+        raise DatasetError(f"{url}: {printable(error)}, expected an address") from error
     except (http.client.HTTPException, ConnectionError, TimeoutError) as error:
-        raise _Cut(f"connection cut ({str(error) or type(error).__name__})") from error
+        raise _Cut(f"connection cut ({printable(error) or type(error).__name__})") from error
 
 
-def _receive(url: str, part: Path, answer: Any, have: int, progress: Progress) -> None:
-    length = int(answer.headers.get("Content-Length") or 0)
+def _receive(
+    url: str, part: Path, answer: Any, have: int, watchdog: Watchdog, progress: Progress
+) -> None:
+    length = _content_length(url, answer)
     if answer.status == http.HTTPStatus.PARTIAL_CONTENT:
         match = CONTENT_RANGE.fullmatch(answer.headers.get("Content-Range", ""))
         if match is None or match[1] is None or int(match[1]) != have:
-            found = answer.headers.get("Content-Range", "no range")
+            found = printable(answer.headers.get("Content-Range", "no range"))
             raise DatasetError(f"{url}: found {found}, expected bytes from {have}")
         total = int(match[2])
     else:
         have, total = 0, length
-    free = shutil.disk_usage(part.parent).free
-    if total - have > free - MARGIN_BYTES:
-        raise DatasetError(
-            f"{part.parent}: found {free / 1e9:.1f} GB free, "
-            f"expected {(total - have + MARGIN_BYTES) / 1e9:.1f} GB for {url}"
-        )
+    _check_space(url, part, total - have)
     version = answer.headers.get("ETag", "")
     if not version or version.startswith("W/"):  # a weak tag may stand for other bytes
         version = answer.headers.get("Last-Modified", "")
@@ -151,15 +155,38 @@ def _receive(url: str, part: Path, answer: Any, have: int, progress: Progress) -
     done = have
     with part.open("ab" if have else "wb") as file:
         progress(done, total)
-        while chunk := answer.read(CHUNK_BYTES):
+        while chunk := answer.read1(CHUNK_BYTES):
+            _check_space(url, part, len(chunk))  # others write to the disk, too
             file.write(chunk)
             done += len(chunk)
+            watchdog.count(len(chunk))
             progress(done, total)
+    if watchdog.has_cut:
+        raise _Cut(f"found less than {MIN_BYTES} bytes in {TIMEOUT_S:g} s")
     if total and done > total:
         part.unlink()
         raise DatasetError(f"{url}: found {done} bytes, expected {total}")
     if done < total:
         raise _Cut(f"connection cut at {done} of {total} bytes")
+
+
+def _content_length(url: str, answer: Any) -> int:
+    """Return the length that the server says, 0 if it says none; it may repeat it (RFC 9110)."""
+    lengths = set(re.split(r"\s*,\s*", (answer.headers.get("Content-Length") or "0").strip()))
+    (length, *others) = lengths
+    if others or not re.fullmatch(NUMBER, length):
+        found = printable(answer.headers["Content-Length"])
+        raise DatasetError(f"{url}: found Content-Length {found}, expected a number")
+    return int(length)
+
+
+def _check_space(url: str, part: Path, n_bytes: int) -> None:
+    free = shutil.disk_usage(part.parent).free
+    if n_bytes > free - MARGIN_BYTES:
+        raise DatasetError(
+            f"{part.parent}: found {free / 1e9:.1f} GB free, "
+            f"expected {(n_bytes + MARGIN_BYTES) / 1e9:.1f} GB for {url}"
+        )
 
 
 def _size(part: Path) -> int:
@@ -173,6 +200,8 @@ def _notes(part: Path) -> Path:
 def _read_notes(part: Path) -> dict[str, str]:
     try:
         notes = json.loads(_notes(part).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
-    return notes if isinstance(notes, dict) else {}
+    version = notes.get("version") if isinstance(notes, dict) else None
+    is_version = isinstance(version, str) and version.isascii() and version.isprintable()
+    return {"version": version} if version and is_version else {}

@@ -88,8 +88,9 @@ def export_map(
         If the map is not finished, there is no such session or component, the time stamps of
         several sessions do not increase, or depth images are needed and the map has none.
     """
-    keyframes, poses = store.keyframes(), store.map_poses()
-    n_sessions = len(store.sessions())
+    with store.snapshot():
+        keyframes, poses = store.keyframes(), store.map_poses()
+        n_sessions = len(store.sessions())
     if session is not None and session >= n_sessions:
         raise MapError(f"{store.path}: found no session {session}, expected 0 to {n_sessions - 1}")
     inside = choose_component(store, component, session=session)

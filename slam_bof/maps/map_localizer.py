@@ -73,7 +73,7 @@ class MapLocalizer:
             If the model that the map was made with is missing.
         """
         path = Path(path)
-        with MapStore.open(path) as store:
+        with MapStore.open(path) as store, store.snapshot():
             sessions, camera = store.sessions(), store.intrinsics()
             keyframes, T_map_camera = store.keyframes(), store.map_poses()
             if not keyframes:

@@ -12,7 +12,7 @@ from slam_bof.errors import MapError
 from slam_bof.geometry import restore_frame
 from slam_bof.scenes import label_map
 from slam_bof.slam import KeyframeMap, config as configs
-from slam_bof.store import MapStore, SessionResult, replay_keyframes
+from slam_bof.store import MapStore, SessionResult, replay_keyframes, require_intact
 from slam_bof.types import LOST, FramePose, KeyframeRecord
 
 __all__ = ["MergeResult", "merge_maps"]
@@ -40,10 +40,15 @@ def merge_maps(paths: Sequence[Path], out: Path) -> MergeResult:
     Raises
     ------
     MapError
-        If the new file exists, a run was interrupted, or the maps' cameras or models differ.
+        If the new file exists, a map is damaged or given twice, a run was interrupted, or the maps'
+        cameras or models differ.
     """
     if out.exists():
         raise MapError(f"{out}: found a file, expected none: a new map needs a new name")
+    for k, path in enumerate(paths):
+        require_intact(path)
+        if any(path.samefile(other) for other in paths[:k]):
+            raise MapError(f"{path}: found it twice, expected different maps to merge")
     new = out.with_name(f".{out.name}.merged")
     new.unlink(missing_ok=True)
     try:

@@ -129,7 +129,9 @@ def read_run(folder: Path) -> ReportData:
         raise RunError(f"{folder}: found {found}, expected the folder of a finished run") from None
     except (OSError, ValueError) as error:
         raise RunError(f"{metrics}: found {error}, expected the metrics of a run") from error
-    with MapStore.open(folder / "map.db") as store:
+    if not isinstance(figures, dict):
+        raise RunError(f"{metrics}: found no object, expected the metrics of a run")
+    with MapStore.open(folder / "map.db") as store, store.snapshot():
         # The run may be one of several sessions of its map.
         own = [k for k in store.keyframes() if k.session == figures.get("session", 0)]
         ids = range(own[0].id, own[-1].id + 1) if own else range(0)

@@ -40,7 +40,6 @@ from .map_labels import (
 )
 from .model import (
     Model as Model,
-    classifier_bytes as classifier_bytes,
 )
 from .room_segmentation import (
     MapRoom as MapRoom,
@@ -49,6 +48,9 @@ from .room_segmentation import (
 from .single_image import (
     label_frame as label_frame,
     label_image as label_image,
+)
+from .stored_classifier import (
+    classifier_bytes as classifier_bytes,
 )
 from .training import (
     FrameDescriptors as FrameDescriptors,

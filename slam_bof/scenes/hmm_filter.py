@@ -167,9 +167,8 @@ class SceneFilter:
         seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
         new = novelty(position_m, axis, seen_m, axes)
         logs = weighted_log_likelihood(scene.probabilities, 1.0)
-        if self._sums is None:
-            self._sums = np.zeros((len(logs), len(logs) + 2))
-        self._sums *= decay
+        before = np.zeros((len(logs), len(logs) + 2)) if self._sums is None else self._sums
+        self._sums = before * decay
         self._sums[best] += [*logs, new, 1.0]
         self._seen_m.append(position_m)
         self._axes.append(axis)

@@ -157,6 +157,10 @@ class LevelledClassifier:
         for name, shape in shapes.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
+        if len(set(manifest["classes"])) != len(classes) or classes.dtype.kind != "U":
+            raise ValueError(f"classes must be different names, got {manifest['classes']}")
+        if arrays["scale"].min() <= 0.0 or arrays["temperature"] <= 0.0:
+            raise ValueError("levels/scale and levels/temperature must be positive")
         for name in NETWORK_ARRAYS:
             setattr(network, f"{name}_", arrays[name])
         network.classes_, network.n_features_in_ = classes, n_features

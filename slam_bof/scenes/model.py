@@ -11,8 +11,8 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import lzma
 import os
-import warnings
 import zipfile
 import zlib
 from dataclasses import dataclass
@@ -25,20 +25,24 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
-from sklearn.exceptions import InconsistentVersionWarning
 
 from slam_bof.bof import PlaceDescriber, PlaceParams, TfIdf, Vocabulary
+from slam_bof.core import parse_npy
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.labeller import BagLabeller, Labeller
 from slam_bof.scenes.levelled_classifier import LevelledClassifier
+from slam_bof.scenes.stored_classifier import (
+    classifier_bytes,
+    load_classifier,
+    read_entries,
+    zip_entries,
+)
 
 __all__ = [
     "FORMAT_VERSION",
     "Model",
-    "classifier_bytes",
     "load",
-    "load_classifier",
     "name_by_hash",
     "resolve",
     "save",
@@ -46,17 +50,18 @@ __all__ = [
 
 FORMAT = "slam_bof model"
 FORMAT_VERSION = 1
-
-TRUSTED_TYPES = [
-    "scipy.sparse._csr.csr_array",
-    "scipy.sparse._csr.csr_matrix",
-    "slam_bof.scenes.SceneClassifier",
-    "sklearn.calibration._CalibratedClassifier",
-    "sklearn.calibration._SigmoidCalibration",
-    "sklearn.neural_network._stochastic_optimizers.AdamOptimizer",
-    "sklearn.tree._tree.Tree",
-]
-"""Types that a classifier may consist of, beyond those that skops trusts itself."""
+UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    lzma.LZMAError,
+    EOFError,
+    LookupError,
+    TypeError,
+    ValueError,
+    RuntimeError,  # a password, an unknown compression, endless nesting
+    OverflowError,
+)
+"""What the libraries raise for files that are no models."""
 
 DEFAULT = "default"
 INCLUDED = (DEFAULT, "synthetic")
@@ -130,7 +135,7 @@ def save(model: Model, path: str | Path) -> None:
     }
     entries = {"manifest.json": json.dumps(manifest, indent=2).encode(), **entries}
     unfinished = path.with_name(path.name + ".part")
-    unfinished.write_bytes(_zip(entries, zipfile.ZIP_DEFLATED))
+    unfinished.write_bytes(zip_entries(entries, zipfile.ZIP_DEFLATED))
     os.replace(unfinished, path)
 
 
@@ -196,11 +201,10 @@ def load(path: str | Path) -> Model:
 
 def _parse(data: bytes, name: str) -> Model:
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            entries = {entry: archive.read(entry) for entry in archive.namelist()}
+        entries = read_entries(data)
         manifest = json.loads(entries.pop("manifest.json"))
         found = manifest["format"], manifest["format_version"], manifest["content_sha256"]
-    except (zipfile.BadZipFile, zlib.error, EOFError, KeyError, TypeError, ValueError):
+    except UNREADABLE:
         raise ModelError(
             f"{name}: not a model file; expected a zip with a slam_bof manifest.json"
         ) from None
@@ -218,8 +222,8 @@ def _parse(data: bytes, name: str) -> Model:
         )
     try:
         model = _build(manifest, entries)
-    except (KeyError, TypeError, ValidationError, ValueError) as error:
-        reason = str(error).splitlines()[0]
+    except (LookupError, TypeError, ValidationError, ValueError) as error:
+        reason = (str(error).splitlines() or ["nothing"])[0][:300]
         raise ModelError(f"{name}: model content is not as expected: {reason}") from error
     # Fill the cached property: the hash was just computed.
     vars(model)["content_hash"] = content_hash
@@ -228,18 +232,24 @@ def _parse(data: bytes, name: str) -> Model:
 
 def _build(manifest: dict[str, Any], entries: Entries) -> Model:
     places = PlaceParams.model_validate(manifest["places"])
-    words, idf = _array(entries["words.npy"]), _array(entries["idf.npy"])
+    words, idf = _array(entries, "words.npy"), _array(entries, "idf.npy")
     if words.shape != (len(idf), places.bof.n_values):
         raise ValueError(
             f"words must be ({len(idf)}, {places.bof.n_values}) as idf and n_values, "
             f"got {words.shape}"
         )
+    if idf.min() < 0.0:
+        raise ValueError(f"idf.npy: found {idf.min()}, expected no negative frequency")
+    if not isinstance(manifest["trained_on"], str):
+        raise ValueError(f"trained_on must be text, got {type(manifest['trained_on']).__name__}")
     return Model(
         places=places,
         vocabulary=Vocabulary.from_words(words, **manifest["vocabulary"]),
         tf_idf=TfIdf.from_idf(idf),
         bag_classifier=(
-            load_classifier(entries["scenes.skops"]) if "scenes.skops" in entries else None
+            load_classifier(entries["scenes.skops"], len(words))
+            if "scenes.skops" in entries
+            else None
         ),
         trained_on=manifest["trained_on"],
         levelled_classifier=(
@@ -280,11 +290,22 @@ def _entries(model: Model) -> Entries:
 
 def _load_levelled(manifest: dict[str, Any], entries: Entries) -> LevelledClassifier:
     arrays = {
-        name.removeprefix(LEVELLED_ENTRIES).removesuffix(".npy"): _array(data)
-        for name, data in entries.items()
+        name.removeprefix(LEVELLED_ENTRIES).removesuffix(".npy"): _array(entries, name)
+        for name in entries
         if name.startswith(LEVELLED_ENTRIES)
     }
     return LevelledClassifier.from_arrays(manifest, arrays)
+
+
+def _array(entries: Entries, name: str) -> NDArray[Any]:
+    """Return the array of an entry; ``ValueError`` unless it has finite numbers, and some."""
+    try:
+        array = parse_npy(entries[name])
+        if array.dtype.kind != "f" or not array.size or not np.isfinite(array).all():
+            raise ValueError(f"found {array.dtype} {array.shape}, expected finite numbers")
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+    return array
 
 
 def _hash(content: dict[str, Any], entries: Entries) -> str:
@@ -295,69 +316,7 @@ def _hash(content: dict[str, Any], entries: Entries) -> str:
     return digest.hexdigest()
 
 
-def _zip(entries: Entries, compression: int) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", compression) as archive:
-        for name, data in entries.items():
-            # A ZipInfo made by hand has a constant time stamp.
-            archive.writestr(zipfile.ZipInfo(name), data, compression)
-    return buffer.getvalue()
-
-
 def _array_bytes(array: NDArray[Any]) -> bytes:
     buffer = io.BytesIO()
     np.save(buffer, array, allow_pickle=False)
     return buffer.getvalue()
-
-
-def _array(data: bytes) -> NDArray[Any]:
-    return np.asarray(np.load(io.BytesIO(data), allow_pickle=False))
-
-
-def classifier_bytes(classifier: SceneClassifier) -> bytes:
-    """Serialise a scene classifier for a model file, by skops, to the same bytes every time."""
-    import skops.io
-
-    # skops names objects and files by memory address; number them in order of appearance instead.
-    with zipfile.ZipFile(io.BytesIO(skops.io.dumps(classifier))) as archive:
-        schema = json.loads(archive.read("schema.json"))
-        renamed = _number_ids(schema)
-        files = {new: archive.read(old) for old, new in renamed.items()}
-    return _zip({**files, "schema.json": json.dumps(schema).encode()}, zipfile.ZIP_STORED)
-
-
-def _number_ids(schema: Any) -> dict[str, str]:
-    """Renumber the ids and files of a skops schema in place; return the files' new names."""
-    ids: dict[int, int] = {}
-    files: dict[str, str] = {}
-
-    def visit(node: Any) -> None:
-        if isinstance(node, dict):
-            if isinstance(node.get("__id__"), int):
-                node["__id__"] = ids.setdefault(node["__id__"], len(ids) + 1)
-            if isinstance(node.get("file"), str):
-                suffix = Path(node["file"]).suffix
-                node["file"] = files.setdefault(node["file"], f"{len(files)}{suffix}")
-        for child in node.values() if isinstance(node, dict) else node:
-            if isinstance(child, dict | list):
-                visit(child)
-
-    visit(schema)
-    return files
-
-
-def load_classifier(data: bytes) -> SceneClassifier:
-    """Restore a scene classifier from ``classifier_bytes``; ``ValueError`` if it is none."""
-    import skops.io
-    from skops.io.exceptions import UntrustedTypesFoundException
-
-    with warnings.catch_warnings():
-        # Other versions of scikit-learn read these plain attributes as well.
-        warnings.simplefilter("ignore", InconsistentVersionWarning)
-        try:
-            classifier = skops.io.loads(data, trusted=TRUSTED_TYPES)
-        except UntrustedTypesFoundException as error:
-            raise ValueError(str(error)) from error
-    if not isinstance(classifier, SceneClassifier):
-        raise ValueError(f"scenes must be a SceneClassifier, got {type(classifier).__name__}")
-    return classifier

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
-from slam_bof.core import describe_error, registry, suggest
+from slam_bof.core import describe_error, parse_yaml, registry, suggest
 from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams, VirtualCameraParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
@@ -35,6 +35,9 @@ _PACKAGE = Path(__file__).parents[1]
 PRESETS = _PACKAGE / "configs"  # in a wheel
 if not PRESETS.is_dir():
     PRESETS = _PACKAGE.parent / "configs"  # in a checkout
+
+MAX_BYTES = 1_000_000
+"""Largest file that is read."""
 
 PORTS_OF_KEYS = {
     "dataset": "datasets",
@@ -145,6 +148,8 @@ def load(path: Path | str) -> Config:
     """
     path = Path(path)
     try:
+        if (n_bytes := path.stat().st_size) > MAX_BYTES:
+            raise ConfigError(f"{path}: found {n_bytes} bytes, expected a YAML configuration")
         text = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file, expected a YAML configuration") from None
@@ -170,10 +175,9 @@ def parse_saved(text: str, where: str) -> Config:
 
 def _read_yaml(text: str, where: str) -> Any:
     try:
-        values = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        reason = " ".join(str(error).split())
-        raise ConfigError(f"{where}: not a YAML file: {reason}") from error
+        values = parse_yaml(text)
+    except ValueError as error:
+        raise ConfigError(f"{where}: not a YAML file: {error}") from error
     return {} if values is None else values
 
 
@@ -215,9 +219,9 @@ def override(config: Config, assignments: Iterable[str]) -> Config:
         if not separator or not key.strip():
             raise ConfigError(f"found {assignment!r}, expected KEY=VALUE, such as loops.top_k=3")
         try:
-            value = yaml.safe_load(text)
-        except yaml.YAMLError as error:
-            raise ConfigError(f"{assignment!r}: {text!r} is not a YAML value") from error
+            value = parse_yaml(text)
+        except ValueError as error:
+            raise ConfigError(f"--set {key}: {text[:80]!r} is not a YAML value: {error}") from error
         _assign(values, key.strip().split("."), value)
     return _validate(values, "--set")
 

@@ -1,5 +1,6 @@
 from .integrity import (
     check_map as check_map,
+    require_intact as require_intact,
 )
 from .map_components import (
     choose_component as choose_component,

@@ -91,11 +91,11 @@ class MapDatabase:
                 on_error.callback(lambda: db.close())
                 version = _version(db, path)
                 if version != SCHEMA_VERSION:
-                    db = migrate(db, version, in_place=not read_only)
+                    db = migrate(db, version, path, in_place=not read_only)
                 wrong = check_schema(db)
                 if wrong:
                     raise MapError(
-                        f"{path}: found a damaged database schema ({wrong}); "
+                        f"{path}: found {wrong}; "
                         "slam-bof map recover copies the intact rows into a new map"
                     )
                 if lock is not None:
@@ -106,6 +106,8 @@ class MapDatabase:
 
     def close(self) -> None:
         """Close the file; after the last writer no other files are left beside it."""
+        if self._lock is not None and self._lock.is_forked():
+            return  # the file is another process's, which goes on writing
         if self._lock is not None:
             # Without WAL mode the map can be read from read-only media. SQLite cannot leave WAL
             # mode while another program has the file open; the map is complete in either mode.
@@ -129,6 +131,20 @@ class MapDatabase:
     def connection(self) -> sqlite3.Connection:
         """The underlying SQLite connection."""
         return self._db
+
+    @contextlib.contextmanager
+    def snapshot(self) -> Iterator[None]:
+        """Read one state of the map in all selects of the block, also while it is written."""
+        if self._db.in_transaction:
+            yield
+            return
+        with as_map_errors(self.path):
+            self._db.execute("BEGIN")
+        try:
+            yield
+        finally:
+            if self._db.in_transaction:
+                self._db.execute("ROLLBACK")
 
     def select(self, statement: str, *values: object) -> list[Any]:
         """Return the rows of a SELECT; they can be indexed by column name."""
@@ -185,6 +201,7 @@ class _WriterLock:
     """A lock file beside a map, held by the one program that writes to it."""
 
     def __init__(self, path: Path) -> None:
+        self._process_id = os.getpid()
         # Resolved, so that programs that use different symbolic links share one lock.
         self._file = Path(f"{path.resolve()}-lock")
         while True:
@@ -212,6 +229,10 @@ class _WriterLock:
             return os.path.samestat(self._written, path.stat())
         except FileNotFoundError:
             return False
+
+    def is_forked(self) -> bool:
+        """Return whether this is a fork of the process that holds the lock."""
+        return os.getpid() != self._process_id
 
     def release(self) -> None:
         """Remove the lock file, so that others can write."""

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import NamedTuple
 
 from slam_bof.errors import MapError
 from slam_bof.store.map_store import MapStore
+from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import decode_view
 from slam_bof.store.schema import KEY_COLUMNS
-from slam_bof.store.sqlite import as_map_errors, is_intact
+from slam_bof.store.sqlite import as_map_errors
 
-__all__ = ["Damage", "check_map"]
+__all__ = ["Damage", "check_map", "require_intact"]
 
 NAMES = {
     "sessions": "session",
@@ -24,9 +25,13 @@ NAMES = {
     "regions": "room",
     "parameters": "parameter",
 }
-CHECKSUM_DIFFERS = "differs from what was written (checksum)"
 MAX_MESSAGES = 20
 """Limit on SQLite's own messages; one broken page makes hundreds."""
+
+
+DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_TOOBIG)
+MAX_ROWS = 10_000_000
+"""Limit on the rows that are tried one by one where a page is broken."""
 
 
 class Damage(NamedTuple):
@@ -54,20 +59,43 @@ def check_map(path: Path | str) -> list[Damage]:
     MapError
         If the file is not a map, or not even its tables can be read.
     """
-    with MapStore.open(path) as store:
+    with MapStore.open(path) as store, store.snapshot():
         db = store.connection
         # Damaged text may not be valid UTF-8; the checksum of its row reports it.
         db.text_factory = lambda text: text.decode(errors="surrogateescape")
         found = [Damage(None, None, text) for text in _sqlite_findings(db)]
-        damaged: set[tuple[str, int | str]] = set()
         for table in KEY_COLUMNS:
-            for damage in _check_rows(db, table):
-                assert damage.row is not None
-                damaged.add((table, damage.row))
-                found.append(damage)
+            found += _check_rows(db, table)
         with as_map_errors(Path(path)):
-            found += _check_references(store, damaged)
+            found += _check_references(store, {(damage.table, damage.row) for damage in found})
+        if not found:
+            found += _unreadable(store)
         return found
+
+
+def require_intact(path: Path | str) -> None:
+    """Raise ``MapError`` if a map is damaged: copying it would sign the damage with new checksums.
+
+    Raises
+    ------
+    MapError
+        The first damage is named.
+    """
+    if found := check_map(path):
+        raise MapError(
+            f"{path}: found damage in {len(found)} place{'s' if len(found) > 1 else ''}, the first "
+            f"is {found[0]}; expected a whole map: slam-bof map recover saves the rest"
+        )
+
+
+def _unreadable(store: MapStore) -> Iterator[Damage]:
+    """Yield what readers refuse of whole rows: numbers that do not count from 0, and the like."""
+    try:
+        store.keyframes(), store.candidates(), store.regions()
+        for session in store.sessions():
+            store.frames(session.id)
+    except MapError as error:
+        yield Damage(None, None, str(error).removeprefix(f"{store.path}: "))
 
 
 def _sqlite_findings(db: sqlite3.Connection) -> Iterator[str]:
@@ -86,29 +114,28 @@ def _sqlite_findings(db: sqlite3.Connection) -> Iterator[str]:
 def _check_rows(db: sqlite3.Connection, table: str) -> Iterator[Damage]:
     """Yield the rows of a table that cannot be read or whose checksum differs."""
     key = KEY_COLUMNS[table]
+    found = []
     try:
-        rows = db.execute(f"SELECT {key} AS key, * FROM {table} ORDER BY rowid").fetchall()
+        for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):
+            if fault := find_fault(table, row):
+                found.append(Damage(table, row[key], fault))
     except sqlite3.DatabaseError as error:
         _raise_unless_damage(error)
         yield from _check_rows_one_by_one(db, table)
         return
-    for row in rows:
-        if not is_intact(tuple(row)[1:]):
-            yield Damage(table, row["key"], CHECKSUM_DIFFERS)
+    yield from found
 
 
 def _check_rows_one_by_one(db: sqlite3.Connection, table: str) -> Iterator[Damage]:
     """Yield the damaged rows of a table with a broken page: each possible row is read alone."""
-    for rowid in range(_last_rowid(db, table) + 1):
+    for rowid in range(min(_last_rowid(db, table) + 1, MAX_ROWS)):
         try:
-            row = db.execute(
-                f"SELECT {KEY_COLUMNS[table]} AS key, * FROM {table} WHERE rowid = ?", (rowid,)
-            ).fetchone()
+            row = db.execute(f"SELECT * FROM {table} WHERE rowid = ?", (rowid,)).fetchone()
         except sqlite3.DatabaseError as error:
             yield Damage(table, rowid, f"cannot be read: {error}")
             continue
-        if row is not None and not is_intact(tuple(row)[1:]):
-            yield Damage(table, row["key"], CHECKSUM_DIFFERS)
+        if row is not None and (fault := find_fault(table, row)):
+            yield Damage(table, row[KEY_COLUMNS[table]], fault)
 
 
 def _last_rowid(db: sqlite3.Connection, table: str) -> int:
@@ -121,34 +148,42 @@ def _last_rowid(db: sqlite3.Connection, table: str) -> int:
 
 def _raise_unless_damage(error: sqlite3.DatabaseError) -> None:
     """Raise an error again unless it reports a damaged file."""
-    if error.sqlite_errorcode & 0xFF not in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB):
+    if error.sqlite_errorcode & 0xFF not in DAMAGE_CODES:
         raise error
 
 
-def _check_references(store: MapStore, damaged: set[tuple[str, int | str]]) -> Iterator[Damage]:
-    """Yield keyframes, depth images and frames that are missing, and images that are no PNG."""
+def _check_references(
+    store: MapStore, damaged: Set[tuple[str | None, int | str | None]]
+) -> Iterator[Damage]:
+    """Yield parameters, keyframes, images and frames that are missing, and images that are none."""
     try:
-        ids = [row["id"] for row in store.select("SELECT id FROM keyframes ORDER BY id")]
-        camera = store.intrinsics()
-        views = store.select("SELECT * FROM views")
-        sessions = store.sessions()
-    except (MapError, ValueError):
+        camera, has_classes = store.intrinsics(), bool(store.classes())
+    except MapError:
         return  # the damage behind this is reported already
+    ids = [row["id"] for row in store.select("SELECT id FROM keyframes ORDER BY id")]
+    labelled = store.select("SELECT 1 FROM keyframes WHERE scene IS NOT NULL LIMIT 1")
+    if labelled and not has_classes:
+        yield Damage("parameters", "classes", "is missing")
     for missing in sorted(set(range(len(ids))) - set(ids)):
         yield Damage("keyframes", missing, "is missing")
-    for row in views:
-        if ("views", row["keyframe_id"]) in damaged or camera is None:
-            continue
-        if decode_view(row, camera) is None:
-            yield Damage("views", row["keyframe_id"], "is not a 16-bit PNG")
-    if views:  # maps made before version 4 have no depth images
-        seen = {row["keyframe_id"] for row in views}
-        for id_ in sorted(set(ids) - seen):
+    seen = [row["keyframe_id"] for row in store.select("SELECT keyframe_id FROM views")]
+    if seen:  # maps made before version 4 have no depth images
+        if camera is None:
+            yield Damage("parameters", "camera", "is missing")
+        for id_ in sorted(set(ids) - set(seen)):
             yield Damage("views", id_, "is missing")
-    for session in sessions:
-        rows = store.select(
-            "SELECT frame_index FROM frames WHERE session = ? ORDER BY frame_index", session.id
-        )
-        indices = [row["frame_index"] for row in rows]
+    for id_ in seen:
+        if camera is None or ("views", id_) in damaged:
+            continue
+        (row,) = store.select("SELECT * FROM views WHERE keyframe_id = ?", id_)
+        if decode_view(row, camera) is None:
+            yield Damage("views", id_, f"is no 16-bit PNG of the size that {camera} has")
+    for (session,) in store.select("SELECT id FROM sessions"):
+        indices = [
+            row["frame_index"]
+            for row in store.select(
+                "SELECT frame_index FROM frames WHERE session = ? ORDER BY frame_index", session
+            )
+        ]
         for missing in sorted(set(range(len(indices))) - set(indices)):
-            yield Damage("frames", missing, f"of session {session.id} is missing")
+            yield Damage("frames", missing, f"of session {session} is missing")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,17 +13,23 @@ from slam_bof.errors import MapError
 from slam_bof.slam import MapComponents
 from slam_bof.store.map_store import MapStore
 
-__all__ = ["choose_component", "components_of", "largest_component"]
+__all__ = ["choose_component", "components_of", "join_rows", "largest_component"]
 
 logger = logging.getLogger(__name__)
 
 
 def components_of(store: MapStore) -> NDArray[np.int64]:
     """Return the component (K,) of each keyframe, as the loops of the graph connect them."""
+    with store.snapshot():
+        return join_rows(store.keyframe_rows(), store.loop_rows())
+
+
+def join_rows(keyframes: Iterable[Any], loops: Iterable[Any]) -> NDArray[np.int64]:
+    """Return the component (K,) of each keyframe, given the rows of keyframes and loops."""
     components = MapComponents()
-    for row in store.select("SELECT segment FROM keyframes ORDER BY id"):
+    for row in keyframes:
         components.add(row["segment"])
-    for row in store.select("SELECT query_id, match_id FROM loops"):
+    for row in loops:
         components.join(row["query_id"], row["match_id"])
     return components.of_keyframes()
 
@@ -46,8 +54,9 @@ def choose_component(
     MapError
         If there is no such component.
     """
-    components = components_of(store)
-    rows = store.select("SELECT session FROM keyframes ORDER BY id")
+    with store.snapshot():
+        rows = store.keyframe_rows()
+        components = join_rows(rows, store.loop_rows())
     wanted = np.array([session in (None, row["session"]) for row in rows], dtype=bool)
     known = np.unique(components[wanted]).tolist()
     chosen = largest_component(components[wanted]) if component is None else component

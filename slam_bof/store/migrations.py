@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import sqlite3
+from pathlib import Path
 
+from slam_bof.errors import MapError
+from slam_bof.store.row_checks import find_fault
 from slam_bof.store.schema import (
     KEY_COLUMNS,
     POSE_COLUMNS,
@@ -12,6 +15,7 @@ from slam_bof.store.schema import (
     TABLES,
     VIEWS,
 )
+from slam_bof.store.schema_repair import STATEMENTS, find_additions
 from slam_bof.store.sqlite import columns, prepare, update_checksums
 
 __all__ = ["MIGRATABLE_VERSIONS", "migrate"]
@@ -28,6 +32,7 @@ CREATE TABLE regions (
 """
 
 _OLD = ("keyframes", "candidates", "regions", "parameters", "loops")
+_OLD_VIEWS = ("keyframe_labels", "loop_audit")
 
 _TO_4 = f"""
 DROP VIEW keyframe_labels;
@@ -67,12 +72,23 @@ MIGRATABLE_VERSIONS = (2, 3)
 """Older schema versions that can be migrated."""
 
 
-def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.Connection:
+def migrate(
+    db: sqlite3.Connection, version: int, path: Path, *, in_place: bool
+) -> sqlite3.Connection:
     """Migrate a map to the current schema version and return its connection.
 
     Without ``in_place`` the map is copied to memory and the copy migrated. Maps before version 4
     have no depth images: they can be read, but their places cannot be recognised.
+
+    Raises
+    ------
+    MapError
+        If it has triggers or other additions, or, with ``in_place``, is damaged.
     """
+    expected = {("table", name) for name in _OLD} | {("view", name) for name in _OLD_VIEWS}
+    statements = db.execute(STATEMENTS).fetchall()
+    if added := find_additions(expected, map(tuple, statements)):
+        raise MapError(f"{path}: found {added}")
     if not in_place:
         copy = sqlite3.connect(":memory:", isolation_level=None)
         prepare(copy)
@@ -89,6 +105,8 @@ def migrate(db: sqlite3.Connection, version: int, *, in_place: bool) -> sqlite3.
             db.execute(statement)
         for table in KEY_COLUMNS:
             update_checksums(db, table)
+        if in_place:
+            _check_rows(db, path)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         db.execute("COMMIT")
     except BaseException:
@@ -106,3 +124,14 @@ def _copy_rows(db: sqlite3.Connection, table: str) -> None:
     extra, of_extra = (", session", ", 0") if table == "keyframes" else ("", "")
     names = ", ".join(shared)
     db.execute(f"INSERT INTO {table} ({names}{extra}) SELECT {names}{of_extra} FROM old_{table}")
+
+
+def _check_rows(db: sqlite3.Connection, path: Path) -> None:
+    """Check everything before it gets checksums for good: old maps have none."""
+    for table, key in KEY_COLUMNS.items():
+        for row in db.execute(f"SELECT * FROM {table}"):
+            if fault := find_fault(table, row):
+                raise MapError(
+                    f"{path}: found {table}, row {row[key]}, which {fault}, expected a whole map "
+                    "to upgrade; slam-bof map recover copies the intact rows into a new map"
+                )

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
 from slam_bof.slam import FrameHistory
+from slam_bof.store.integrity import require_intact
 from slam_bof.store.map_components import components_of
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_codec import INSERT_CANDIDATE, encode_candidate, encode_edge
@@ -48,8 +49,9 @@ def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -
     Raises
     ------
     MapError
-        If the map's last run was interrupted.
+        If the map is damaged, or its last run was interrupted.
     """
+    require_intact(path)
     with MapStore.open(path, read_only=False) as store:
         for session in store.sessions():
             if not session.is_finished:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -10,10 +11,10 @@ import numpy as np
 
 from slam_bof.errors import MapError
 from slam_bof.scenes import UNKNOWN_LABEL, MapRoom
-from slam_bof.store.map_components import choose_component, components_of
+from slam_bof.store.map_components import choose_component, join_rows
 from slam_bof.store.map_store import MapStore
-from slam_bof.store.row_codec import decode_scene
 from slam_bof.store.schema import POSE_COLUMNS
+from slam_bof.types import EdgeKind, Keyframe
 
 __all__ = [
     "KeyframeInfo",
@@ -122,42 +123,36 @@ def query_keyframes(
     MapError
         If the map has no such keyframe, scene label or component.
     """
-    _check_scene(store, scene)
-    components = components_of(store)
-    label, probability = "scene", "scene_probability"
-    if labels == "smoothed":
-        label = "coalesce(smoothed, scene)"
-        probability = "coalesce(smoothed_probability, scene_probability)"
-    rows = store.select(
-        "SELECT *, (SELECT count(*) FROM loops WHERE query_id = k.id AND kind = 'loop') AS n_loops"
-        " FROM keyframes AS k WHERE (?1 IS NULL OR id = ?1)"
-        f" AND (?2 IS NULL OR {label} = ?2) AND (?3 <= 0 OR {probability} >= ?3) ORDER BY id",
-        keyframe_id,
-        scene,
-        min_probability,
-    )
-    if keyframe_id is not None and scene is None and min_probability <= 0 and not rows:
-        ((n,),) = store.select("SELECT count(*) FROM keyframes")
-        raise MapError(
-            f"{store.path}: found no keyframe {keyframe_id}, expected 0 to {n - 1}"
-            if n
-            else f"{store.path}: found no keyframes, expected keyframe {keyframe_id}"
-        )
-    if component is not None or near_m is not None:
-        inside = choose_component(store, component)
-        rows = [row for row in rows if inside[row["id"]]]
-    first_frames = {session.id: session.first_frame for session in store.sessions()}
-    records = [
-        _keyframe_info(
-            store,
-            row,
-            first_frame=first_frames[row["session"]],
-            component=int(components[row["id"]]),
-            time_s=time_s,
-            near_m=near_m,
-        )
-        for row in rows
-    ]
+    with store.snapshot():
+        _check_scene(store, scene)
+        rows, loops = store.keyframe_rows(), store.loop_rows()
+        components = join_rows(rows, loops)
+        n_loops = Counter(row["query_id"] for row in loops if row["kind"] == EdgeKind.LOOP)
+        if keyframe_id is not None and not 0 <= keyframe_id < len(rows):
+            raise MapError(
+                f"{store.path}: found no keyframe {keyframe_id}, expected 0 to {len(rows) - 1}"
+                if rows
+                else f"{store.path}: found no keyframes, expected keyframe {keyframe_id}"
+            )
+        inside = np.ones(len(rows), bool)
+        if component is not None or near_m is not None:
+            inside = choose_component(store, component)
+        first_frames = {session.id: session.first_frame for session in store.sessions()}
+        records = [
+            _keyframe_info(
+                store.decode(row),
+                row,
+                first_frame=first_frames[row["session"]],
+                n_loops=n_loops[row["id"]],
+                component=int(components[row["id"]]),
+                time_s=time_s,
+                near_m=near_m,
+            )
+            for row in rows
+            if inside[row["id"]]
+            and keyframe_id in (None, row["id"])
+            and _has_label(row, scene, min_probability, labels)
+        ]
     if time_s is not None:
         records.sort(key=lambda record: record.apart_s or 0.0)
     if near_m is not None:
@@ -175,10 +170,12 @@ def query_rooms(
     MapError
         If the map has no such scene label.
     """
-    _check_scene(store, scene)
+    with store.snapshot():
+        _check_scene(store, scene)
+        rooms = store.regions()
     found = [
         region
-        for region in store.regions()
+        for region in rooms
         if scene in (None, region.label) and region.probability >= min_probability
     ]
     return sorted(found, key=lambda region: -region.probability) if scene else found
@@ -191,25 +188,23 @@ def query_loops(
 
     They are those of the pose graph, or all pairs that were ``considered``, whatever the decision.
     """
-    rows = store.select(
-        "SELECT c.*, q.stamp_s AS query_stamp_s, m.stamp_s AS match_stamp_s FROM candidates AS c"
-        " JOIN keyframes AS q ON q.id = query_id JOIN keyframes AS m ON m.id = match_id"
-        " WHERE kind = 'loop' AND (?1 IS NULL OR ?1 IN (query_id, match_id))"
-        " AND (?2 OR (decision = 'accepted' AND loop_id IS NOT NULL))"
-        " ORDER BY loop_id IS NULL, loop_id, c.id",
-        keyframe_id,
-        considered,
-    )
-    components = components_of(store)
-    names = ("query_id", "match_id", "query_stamp_s", "match_stamp_s", "source", "decision")
+    tail = "WHERE kind = 'loop' AND (?1 IS NULL OR ?1 IN (query_id, match_id))"
+    tail += " AND (?2 OR (decision = 'accepted' AND loop_id IS NOT NULL))"
+    tail += " ORDER BY loop_id IS NULL, loop_id, id"
+    with store.snapshot():
+        rows = store.candidate_rows(tail, keyframe_id, considered)
+        keyframes = store.keyframe_rows()
+        components = join_rows(keyframes, store.loop_rows())
+    stamps_s = [row["stamp_s"] for row in keyframes]
+    names = ("query_id", "match_id", "source", "decision", "reason", "score", "overlap", "rmse_m")
     records: list[LoopInfo] = []
     for row in rows:
-        values: dict[str, Any] = {
-            name: row[name] for name in (*names, "reason", "score", "overlap", "rmse_m")
-        }
+        values: dict[str, Any] = {name: row[name] for name in names}
         translation_m, quaternion_xyzw = _pose(row, "") if row["tx"] is not None else (None, None)
         records.append(
             LoopInfo(
+                query_stamp_s=stamps_s[row["query_id"]],
+                match_stamp_s=stamps_s[row["match_id"]],
                 translation_m=translation_m,
                 quaternion_xyzw=quaternion_xyzw,
                 component=int(components[row["query_id"]]),
@@ -227,11 +222,22 @@ def _check_scene(store: MapStore, scene: str | None) -> None:
     raise MapError(f"{store.path}: found no scene {scene!r}, expected one of: {known}")
 
 
+def _has_label(row: Any, scene: str | None, min_probability: float, labels: Labels) -> bool:
+    """Return whether a keyframe has a label, by default any, that is probable enough."""
+    label, probability = row["scene"], row["scene_probability"]
+    if labels == "smoothed" and row["smoothed"] is not None:
+        label, probability = row["smoothed"], row["smoothed_probability"]
+    return scene in (None, label) and (
+        min_probability <= 0 or (probability is not None and probability >= min_probability)
+    )
+
+
 def _keyframe_info(
-    store: MapStore,
+    keyframe: Keyframe,
     row: Any,
     *,
     first_frame: int,
+    n_loops: int,
     component: int,
     time_s: float | None,
     near_m: Sequence[float] | None,
@@ -239,7 +245,7 @@ def _keyframe_info(
     frame = "odom" if row["map_tx"] is None else "map"
     translation_m, quaternion_xyzw = _pose(row, f"{frame}_")
     probabilities: dict[str, float] = {}
-    if (label := decode_scene(row, store.classes())) is not None:
+    if (label := keyframe.scene) is not None:
         pairs = zip(label.classes, label.probabilities.tolist(), strict=True)
         probabilities = dict(sorted(pairs, key=lambda pair: -pair[1]))
     return KeyframeInfo(
@@ -254,7 +260,7 @@ def _keyframe_info(
         frame=frame,
         translation_m=translation_m,
         quaternion_xyzw=quaternion_xyzw,
-        n_loops=row["n_loops"],
+        n_loops=n_loops,
         probabilities=probabilities,
         component=component,
         apart_s=None if time_s is None else abs(row["stamp_s"] - time_s),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import sqlite3
 from contextlib import ExitStack
@@ -14,12 +15,14 @@ import numpy as np
 
 from slam_bof.errors import ConfigError, MapError
 from slam_bof.slam import config as configs
+from slam_bof.store.integrity import check_map
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.pruning import drop_keyframes
+from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import INSERT_FRAME, decode_frame, encode_frame
 from slam_bof.store.schema import KEY_COLUMNS, SMOOTHED_COLUMNS
 from slam_bof.store.schema_repair import repair_schema
-from slam_bof.store.sqlite import as_map_errors, columns, is_intact, update_checksums
+from slam_bof.store.sqlite import as_map_errors, columns, update_checksums
 from slam_bof.types import LOST
 
 __all__ = ["RecoveryResult", "recover_map"]
@@ -29,10 +32,14 @@ UNKNOWN_SESSION = ("", "", "", 0, "", None)
 
 
 class RecoveryResult(NamedTuple):
-    """How many keyframes were recovered, and how many are lost."""
+    """How many keyframes were recovered, how many are lost, and whether the camera is.
+
+    Without the camera the poses and labels can be used, but not the depth images.
+    """
 
     n_keyframes: int
     n_lost: int
+    is_camera_lost: bool
 
 
 def recover_map(path: Path | str, out: Path | str) -> RecoveryResult:
@@ -46,7 +53,8 @@ def recover_map(path: Path | str, out: Path | str) -> RecoveryResult:
     Raises
     ------
     MapError
-        If nothing can be read, no keyframe is intact, or the new file exists.
+        If nothing can be read, no keyframe is intact, rows contradict each other, or the new file
+        exists.
     """
     path, out = Path(path), Path(out)
     with ExitStack() as stack:
@@ -67,13 +75,16 @@ def recover_map(path: Path | str, out: Path | str) -> RecoveryResult:
                 _clear_dangling_references(db)
                 drop_keyframes(db, ids - intact)
                 _fill_missing_frames(db)
+            if not intact:
+                raise MapError(f"{path}: found no intact keyframe, expected at least one")
+            found = check_map(out)
+            is_camera_lost = any(damage.row == "camera" for damage in found)
+            if len(found) > is_camera_lost:
+                raise MapError(f"{path}: found what no map can have, {found[-1]}, expected a map")
         except BaseException:
             out.unlink()
             raise
-        if not intact:
-            out.unlink()
-            raise MapError(f"{path}: found no intact keyframe, expected at least one")
-    return RecoveryResult(len(intact), max(known, len(ids)) - len(intact))
+    return RecoveryResult(len(intact), max(known, len(ids)) - len(intact), is_camera_lost)
 
 
 INTACT_KEYFRAMES = """
@@ -124,7 +135,7 @@ def _copy_rows(source: sqlite3.Connection, target: sqlite3.Connection, table: st
             row = source.execute(f"{select} WHERE rowid = ?", (rowid,)).fetchone()
         except sqlite3.DatabaseError:
             continue
-        if row is not None and is_intact(row):
+        if row is not None and not find_fault(table, row):
             target.execute(insert, tuple(row))
 
 
@@ -171,13 +182,14 @@ def _read_session(db: sqlite3.Connection, id_: int) -> tuple[object, ...]:
         for value, is_number in zip(tuple(row)[:5], (0, 0, 0, 1, 0), strict=True)
     ):
         return UNKNOWN_SESSION
+    seed = max(row["seed"], 0)
     texts = [text.encode(errors="surrogateescape").decode(errors="replace") for text in row[:3]]
     try:
         configs.parse_saved(texts[2], "")
     except ConfigError:
         texts[2] = ""
     n = row["max_frames"]
-    return (*texts, row["seed"], "", n if isinstance(n, int) and n > 0 else None)
+    return (*texts, seed, "", n if isinstance(n, int) and n > 0 else None)
 
 
 def _clear_dangling_references(db: sqlite3.Connection) -> None:
@@ -187,9 +199,15 @@ def _clear_dangling_references(db: sqlite3.Connection) -> None:
         "UPDATE candidates SET left_out_by = NULL"
         " WHERE left_out_by NOT IN (SELECT id FROM sessions)"
     )
-    if not db.execute("SELECT 1 FROM parameters WHERE key = 'classes'").fetchall():
-        labels = ("scene", "scene_probability", "probabilities", *list(SMOOTHED_COLUMNS)[:3])
-        db.execute(f"UPDATE keyframes SET {', '.join(f'{name} = NULL' for name in labels)}")
+    rows = db.execute("SELECT value FROM parameters WHERE key = 'classes'").fetchall()
+    n_bytes = 8 * len(json.loads(rows[0]["value"])) if rows else 0
+    raw, smoothed = ("scene", "scene_probability", "probabilities"), list(SMOOTHED_COLUMNS)[:3]
+    for names in (raw, smoothed):
+        db.execute(
+            f"UPDATE keyframes SET {', '.join(f'{name} = NULL' for name in names)}"
+            f" WHERE length({names[2]}) != ?",
+            (n_bytes,),
+        )
 
 
 def _fill_missing_frames(db: sqlite3.Connection) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from slam_bof.errors import MapError
 from slam_bof.store.map_store import MapStore
-from slam_bof.store.row_codec import decode_candidate, decode_frame, decode_keyframe, decode_loop
+from slam_bof.store.row_codec import decode_candidate, decode_frame, decode_loop
 from slam_bof.types import KeyframeRecord
 
 __all__ = ["replay_keyframes"]
@@ -33,29 +33,28 @@ def replay_keyframes(
     MapError
         If the map has no depth images, or a row is damaged.
     """
-    states = {
-        row["id"]: json.loads(row["state"] or "{}") for row in store.checked_rows("sessions", "")
-    }
+    states = {row["id"]: json.loads(row["state"] or "{}") for row in store.rows("sessions", "")}
     starts: dict[int, int] = {}
-    for row in store.checked_rows("keyframes", "ORDER BY id"):
-        keyframe = decode_keyframe(row, store.classes())
-        frames = store.checked_rows(
+    for row in store.keyframe_rows():
+        keyframe = store.decode(row)
+        start = starts.get(keyframe.session, 0)
+        frames = store.rows(
             "frames",
             "WHERE session = ? AND frame_index BETWEEN ? AND ? ORDER BY frame_index",
             keyframe.session,
-            starts.get(keyframe.session, 0),
+            start,
             keyframe.frame_index,
         )
-        views = store.checked_rows("views", "WHERE keyframe_id = ?", keyframe.id)
-        if not frames or not views:
+        views = store.rows("views", "WHERE keyframe_id = ?", keyframe.id)
+        is_whole = len(frames) == keyframe.frame_index + 1 - start
+        if not is_whole or not views:
             raise MapError(
                 f"{store.path}: found no {'frame' if views else 'depth image'} of keyframe "
                 f"{keyframe.id}, expected one: maps made before version 4 have none"
             )
         poses = tuple(map(decode_frame, frames))
-        own = store.checked_rows("candidates", "WHERE query_id = ? ORDER BY id", keyframe.id)
-        admitted = store.checked_rows(
-            "candidates",
+        own = store.candidate_rows("WHERE query_id = ? ORDER BY id", keyframe.id)
+        admitted = store.candidate_rows(
             "WHERE admitted_by = ? AND (left_out_by IS NULL OR left_out_by = ?) ORDER BY loop_id",
             keyframe.id,
             -1 if reopened_session is None else reopened_session,

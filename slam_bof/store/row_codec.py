@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
@@ -11,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slam_bof.geometry import se3
+from slam_bof.geometry import se3, view_stride
 from slam_bof.scenes import MapRoom
+from slam_bof.store.row_checks import POSE_BYTES
 from slam_bof.store.schema import BOX_COLUMNS, POSE_COLUMNS, SMOOTHED_COLUMNS
 from slam_bof.types import (
     Bag,
@@ -163,15 +165,15 @@ def encode_view(keyframe_id: int, depth: SubsampledDepth) -> Row:
 
 def decode_view(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     """Return the subsampled depth image in a row of ``views``, None if it is damaged."""
-    png = np.frombuffer(row["depth"], np.uint8)
-    depth = cv2.imdecode(png, cv2.IMREAD_UNCHANGED) if png.size else None
-    if depth is None or depth.dtype != np.uint16 or depth.ndim != 2:
+    stride = view_stride(camera)
+    size = (-(-camera.width // stride), -(-camera.height // stride))
+    # The header is read first: a few bytes may stand for an image of gigabytes.
+    if row["depth"][16:24] != struct.pack(">2I", *size):
+        return None
+    depth = cv2.imdecode(np.frombuffer(row["depth"], np.uint8), cv2.IMREAD_UNCHANGED)
+    if depth is None or depth.dtype != np.uint16 or depth.shape != size[::-1]:
         return None
     return SubsampledDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
-
-
-POSE_BYTES = 12 * 8
-"""Size of a pose (3, 4). The pose of a keyframe may be followed by the covariance of its step."""
 
 
 def encode_frame(session: int, frame_index: int, frame: FramePose) -> Row:
@@ -185,7 +187,10 @@ def encode_frame(session: int, frame_index: int, frame: FramePose) -> Row:
 
 
 def decode_frame(row: Any) -> FramePose:
-    """Return the frame in a row of ``frames``."""
+    """Return the frame in a row of ``frames``.
+
+    The pose of a keyframe may be followed by the covariance of its step.
+    """
     view = row["T_view_camera"]
     covariance = row["T_odom_camera"][POSE_BYTES:]
     return FramePose(

@@ -5,16 +5,20 @@ These are the same in every map, so damaged bytes in them can be restored.
 
 from __future__ import annotations
 
+import re
 import sqlite3
+from collections.abc import Iterable, Sequence, Set
 from contextlib import closing
 from functools import cache
 from pathlib import Path
 
 from slam_bof.store.schema import APPLICATION_ID, SCHEMA, SCHEMA_VERSION
 
-__all__ = ["check_schema", "repair_schema"]
+__all__ = ["STATEMENTS", "check_schema", "find_additions", "repair_schema"]
 
 MAGIC = b"SQLite format 3\0"
+STATISTICS = re.compile("sqlite_stat[1-4]")
+"""Tables that SQLite's ANALYZE makes."""
 MAX_BAD_BYTES = 2
 """A file that differs from ``MAGIC`` in more bytes than this is not taken for a damaged map."""
 STATEMENTS = "SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY rowid"
@@ -23,15 +27,28 @@ Statement = tuple[str, str, str, str | None]
 
 
 def check_schema(db: sqlite3.Connection) -> str:
-    """Return the names of damaged or missing tables, indices and views, "" if there are none.
+    """Return what differs from the schema of a map, "" if nothing does.
 
-    Additional ones, such as a user's own index, are allowed.
+    A user's own index is allowed. Other additions are not: a trigger would run when the map is
+    written, and a view when it is read.
     """
     found = {tuple(row) for row in db.execute(STATEMENTS)}
     wrong = [
         f"{kind} {name}" for kind, name, *rest in _expected() if (kind, name, *rest) not in found
     ]
-    return ", ".join(wrong)
+    if wrong:
+        return f"a damaged database schema ({', '.join(wrong)})"
+    return find_additions({(kind, name) for kind, name, *_ in _expected()}, found)
+
+
+def find_additions(expected: Set[tuple[str, str]], found: Iterable[Sequence[str]]) -> str:
+    """Return which statements are neither of a map, as (type, name), nor an index; "" if none."""
+    added = sorted(
+        f"{kind} {name[:40]!r}"
+        for kind, name, *_ in found
+        if (kind, name) not in expected and kind != "index" and not STATISTICS.fullmatch(name)
+    )
+    return f"{', '.join(added[:5])} in the database, which slam_bof has not made" if added else ""
 
 
 def repair_schema(path: Path) -> None:

@@ -24,6 +24,10 @@ __all__ = [
 ]
 
 BUSY_TIMEOUT_S = 5.0
+LENGTH, NUMBER = struct.Struct("<q"), struct.Struct("<qd")
+NULL = LENGTH.pack(1) + b"\0"
+MAX_VALUE_BYTES = 1 << 24
+"""Largest text or blob that is read; a depth image takes some 13 kB."""
 
 ERROR_MESSAGES = {
     sqlite3.SQLITE_NOTADB: "found no SQLite database, expected a map.db",
@@ -35,6 +39,8 @@ ERROR_MESSAGES = {
     sqlite3.SQLITE_CANTOPEN: "cannot be opened: expected a folder and file that may be accessed",
     sqlite3.SQLITE_IOERR: "cannot be read or written: the disk reports an error",
     sqlite3.SQLITE_PERM: "cannot be opened: access is not permitted",
+    sqlite3.SQLITE_TOOBIG: f"found a value of more than {MAX_VALUE_BYTES} bytes, "
+    "expected smaller ones",
 }
 
 
@@ -59,25 +65,32 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def prepare(db: sqlite3.Connection) -> None:
-    """Make rows indexable by column name and ``row_crc`` callable from SQL."""
+    """Make rows indexable by column name and ``row_crc`` callable from SQL.
+
+    The file may come from anybody: its views and indices may call no functions with side effects,
+    and its values have a largest size.
+    """
     db.row_factory = sqlite3.Row
     db.create_function("row_crc", -1, row_crc, deterministic=True)
+    db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
+    db.execute("PRAGMA trusted_schema = OFF")
 
 
 def row_crc(*values: float | str | bytes | None) -> int:
-    """Return the CRC-32 of a row's values; numbers are encoded as float64."""
-    crc = 0
+    """Return the CRC-32 of a row's values, each after its length; numbers are float64."""
+    parts: list[bytes] = []
     for value in values:
-        if value is None:
-            data = b"\0"
-        elif isinstance(value, bytes):
-            data = value
-        elif isinstance(value, str):
-            data = value.encode(errors="surrogateescape")
+        kind = type(value)
+        if kind is float or kind is int:
+            parts.append(NUMBER.pack(8, value))
+        elif value is None:
+            parts.append(NULL)
         else:
-            data = struct.pack("<d", value)
-        crc = zlib.crc32(data, zlib.crc32(struct.pack("<q", len(data)), crc))
-    return crc
+            data = (
+                value if isinstance(value, bytes) else str(value).encode(errors="surrogateescape")
+            )
+            parts += LENGTH.pack(len(data)), data
+    return zlib.crc32(b"".join(parts))
 
 
 def is_intact(values: Sequence[Any]) -> bool:

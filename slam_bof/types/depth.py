@@ -6,6 +6,7 @@ import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -23,6 +24,8 @@ MIN_FOCAL = 0.05
 """Smallest plausible focal length, as a share of the image's size along the same axis."""
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
+MAX_PIXELS = 1 << 24
+"""Largest plausible number of pixels of a depth image; depth cameras have up to some 5 million."""
 SAME_CAMERA = 0.005
 """Largest relative difference of the intrinsics of one camera, whose focus may move a little."""
 
@@ -63,7 +66,8 @@ class Intrinsics:
     Raises
     ------
     ValueError
-        If the numbers cannot be of a camera with such images: a focal length is not positive or
+        If the numbers cannot be of a camera with such images: the image has more than 16.8 million
+        pixels, a focal length is not positive or
         below 5 % of the image's size (a field of view of more than 168 degrees), or the principal
         point lies outside the image or in the 5 % along its edges.
     """
@@ -83,6 +87,11 @@ class Intrinsics:
             object.__setattr__(self, name, float(getattr(self, name)))
         if min(self.width, self.height) < 1:
             raise ValueError(f"found an image of {self.width}x{self.height} pixels, expected some")
+        if self.width * self.height > MAX_PIXELS:
+            raise ValueError(
+                f"found an image of {self.width}x{self.height} pixels, "
+                f"expected at most {MAX_PIXELS}"
+            )
         for axis, size, focal, center in (
             ("x", self.width, self.fx, self.cx),
             ("y", self.height, self.fy, self.cy),
@@ -134,8 +143,8 @@ class DepthFrame:
     Raises
     ------
     ValueError
-        If the size of the image differs from that of the intrinsics, or its type is neither
-        uint16 nor float.
+        If the size of the image differs from that of the intrinsics, its type is neither uint16
+        nor float, or the time is no number.
     """
 
     stamp_s: float
@@ -148,6 +157,10 @@ class DepthFrame:
 
     def __post_init__(self) -> None:
         """Check shape and type once, when the frame is made."""
+        if not isinstance(self.stamp_s, Real):
+            raise ValueError(f"stamp_s must be a number of seconds, got {self.stamp_s!r:.40}")
+        if not isinstance(self.depth, np.ndarray):
+            raise ValueError(f"depth must be a NumPy array, got a {type(self.depth).__name__}")
         expected = (self.intrinsics.height, self.intrinsics.width)
         if self.depth.shape != expected:
             raise ValueError(

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
 __all__ = ["Params"]
 
 
-class Params(BaseModel):
-    """Base class of all parameters. They are frozen, and an unknown key is an error."""
+MAX_COUNT = 1_000_000
+"""Largest plausible count; a larger one would only fail after a long time."""
+MAX_SEED = 2**32 - 1
+"""Largest seed of scikit-learn."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+
+class Params(BaseModel):
+    """Base class of all parameters.
+
+    They are frozen. An unknown key, a number that is not finite and a count of more than a million
+    are errors.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     keeps_own_defaults: ClassVar[bool] = False
     """Whether an enclosing model leaves the missing keys to the defaults of this class itself."""
@@ -35,3 +45,11 @@ class Params(BaseModel):
             and not field.default.keeps_own_defaults
         }
         return {**given, **completed}
+
+    @model_validator(mode="after")
+    def _check_counts(self) -> Self:
+        for name, value in self:
+            limit = MAX_SEED if name == "seed" else MAX_COUNT
+            if isinstance(value, int) and value > limit:
+                raise ValueError(f"{name} must be at most {limit}, got {str(value)[:20]}")
+        return self

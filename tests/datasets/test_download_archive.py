@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
+import io
+import random
 import struct
 import tarfile
+import tracemalloc
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -117,3 +122,95 @@ def test_a_locked_zip_is_told(tmp_path: Path) -> None:
         data[start : start + 2] = struct.pack("<H", 1)
     with pytest.raises(BadArchive, match=r"cannot be unpacked: .*password"):
         unpack_bytes(bytes(data), tmp_path)
+
+
+def bomb(n_levels: int, n_zips: int, n_bytes: int) -> bytes:
+    """Each of the inner archives stays below every limit for itself."""
+    if n_levels == 0:
+        return zipped({"zeros": bytes(n_bytes)})
+    return zipped({f"{k}.zip": bomb(n_levels - 1, n_zips, n_bytes) for k in range(n_zips)})
+
+
+def test_bombs_within_an_archive_count_together(tmp_path: Path) -> None:
+    data = bomb(1, 30, 900_000)
+    assert len(data) < 50_000
+    with pytest.raises(BadArchive, match="expected a data set, not a bomb"):
+        unpack_bytes(data, tmp_path)
+    assert sum(file.stat().st_size for file in tmp_path.rglob("zeros")) < 10_000_000
+    with pytest.raises(BadArchive, match="found more than 40 entries"):
+        unpack_bytes(bomb(1, 30, 1), tmp_path, n_entries=40)
+
+
+def header(name: str, size: bytes, kind: bytes = tarfile.REGTYPE) -> bytes:
+    """Return the header of a tar's entry whose size has these bytes."""
+    entry = tarfile.TarInfo(name)
+    entry.type = kind
+    data = bytearray(entry.tobuf(tarfile.USTAR_FORMAT))
+    data[124:136] = size
+    data[148:156] = b" " * 8
+    data[148:156] = b"%06o\0 " % sum(data)
+    return bytes(data)
+
+
+def octal(size: int) -> bytes:
+    return b"%011o\0" % size
+
+
+BACK = b"\xff" + ((1 << 88) - 512).to_bytes(11, "big")
+"""A size of -512 bytes, in base 256: the next entry would be this one again."""
+TARS = {
+    "a negative size": header("a/x", octal(512)) + bytes(512) + header("a/b", BACK),
+    "a negative name": header("././@LongLink", BACK, tarfile.GNUTYPE_LONGNAME),
+    "a pax header of 4 GB": header("p", octal(4 << 30), tarfile.XHDTYPE) + bytes(1 << 20),
+    "a name of 3 GB": header("l", octal(3 << 30), tarfile.GNUTYPE_LONGNAME) + bytes(1 << 20),
+    "a size of terabytes": header("a/x", b"\x80" + (1 << 50).to_bytes(11, "big")),
+    "headers on headers": header("p", octal(0), tarfile.XHDTYPE) * 3000,
+    "a pax header of nonsense": header("p", octal(512), tarfile.XHDTYPE)
+    + b"99999999999 path=x\n".ljust(512, b"\0"),
+}
+
+
+@pytest.mark.parametrize("case", TARS)
+def test_a_tar_that_lies_about_sizes_is_refused_at_once(tmp_path: Path, case: str) -> None:
+    tracemalloc.start()
+    with pytest.raises(BadArchive) as caught:
+        unpack_bytes(gzip.compress(TARS[case] + bytes(1024), 1), tmp_path, ".tgz")
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert "\n" not in str(caught.value)
+    assert peak_bytes < 50_000_000
+
+
+@pytest.mark.parametrize("kind", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_a_compression_that_no_data_set_has_is_refused(tmp_path: Path, kind: int) -> None:
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", kind) as packed:
+        packed.writestr("x", b"1")
+    with pytest.raises(BadArchive, match=r"a\.zip: cannot be unpacked: found compression 1"):
+        unpack_bytes(data.getvalue(), tmp_path)
+
+
+def test_a_name_in_no_coding_is_damage(tmp_path: Path) -> None:
+    data = zipped({"\u00e9\u00e9": b"1"}).replace("\u00e9\u00e9".encode(), b"\xff\xfe\xff\xfe")
+    with pytest.raises(BadArchive, match=r"found damage \("):
+        unpack_bytes(data, tmp_path)
+
+
+@pytest.mark.parametrize("form", ["zip", "tar"])
+def test_whatever_byte_is_wrong_the_answer_is_one_line(tmp_path: Path, form: str) -> None:
+    rng = random.Random(form)
+    files = {"chess/a.txt": b"1.0 x.png" * 40, "chess/b/x.png": CONTENT[:3000]}
+    data = zipped(files) if form == "zip" else tarred(files)
+    for number in range(300):
+        broken = bytearray(data)
+        for _ in range(rng.randrange(1, 4)):
+            broken[rng.randrange(len(broken))] = rng.randrange(256)
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        said = ""
+        try:
+            unpack_bytes(bytes(broken), folder, ".zip" if form == "zip" else ".tgz")
+        except DatasetError as error:
+            said = str(error)
+        assert "\n" not in said
+        assert len(said) < 600

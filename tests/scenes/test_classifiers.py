@@ -8,11 +8,12 @@ from test_bag_classifier import N_WORDS, rooms
 from slam_bof.scenes import (
     CLASSIFIERS,
     SceneClassifier,
+    classifier_bytes,
     make_classifier,
     make_folds,
-    model,
     search_svm,
 )
+from slam_bof.scenes.stored_classifier import load_classifier
 from slam_bof.types import Bag
 
 
@@ -23,7 +24,7 @@ def test_every_classifier_tells_scenes_apart_and_goes_into_a_file(name: str) -> 
     scenes.fit(sparse.csr_array(bags), labels, groups)
     unseen, truth, _ = rooms(1, 120)
     assert (scenes.predict(unseen) == truth).mean() > 0.7
-    again = model.load_classifier(model.classifier_bytes(scenes))
+    again = load_classifier(classifier_bytes(scenes), N_WORDS)
     np.testing.assert_array_equal(again.predict_proba(unseen), scenes.predict_proba(unseen))
     words = np.flatnonzero(bags[4] > 1e-6).astype(np.int32)
     weights = bags[4, words].astype(np.float32)
@@ -39,7 +40,7 @@ def test_every_classifier_tells_scenes_apart_and_goes_into_a_file(name: str) -> 
 def test_the_same_seed_gives_the_same_bytes() -> None:
     bags, labels, _ = rooms(0, 60)
     one, two = (
-        model.classifier_bytes(SceneClassifier(classifier="mlp", n_folds=2).fit(bags, labels))
+        classifier_bytes(SceneClassifier(classifier="mlp", n_folds=2).fit(bags, labels))
         for _ in range(2)
     )
     assert one == two

@@ -263,7 +263,8 @@ def test_a_loop_that_was_held_is_accepted_when_it_is_added(path: Path) -> None:
     other = Candidate(1, 0, CandidateSource.PROXIMITY, decision=Decision.REJECTED, reason="overlap")
     with MapStore.create(path) as store:
         save(store, make_keyframe(0))
-        save(store, make_keyframe(1), [held, other])
+        record = make_record(make_keyframe(1), [held, other])
+        store.write(replace(record, measured=(make_loop(1, 0),)))
         save(store, make_keyframe(2), [], [make_loop(1, 0)])
         assert [c.decision for c in store.candidates()] == ["accepted", "rejected"]
 

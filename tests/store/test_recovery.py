@@ -105,7 +105,7 @@ def test_a_damaged_layout_is_named_and_put_back(path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"round(overlap, 3)", b"round(overlap, 2)"))
     assert "(view loop_audit); slam-bof map recover copies" in found_by(lambda: MapStore.open(path))
     out = path.with_name("recovered.db")
-    assert recover_map(path, out) == (9, 0)
+    assert recover_map(path, out)[:2] == (9, 0)
     recovered = content(out)
     assert recovered["loop_audit"] == expected["loop_audit"]
     assert recovered["keyframes"] == expected["keyframes"]
@@ -122,7 +122,7 @@ def test_a_keyframe_is_lost_with_all_that_names_it(path: Path) -> None:
         "depth image of keyframe 3: differs from what was written (checksum)"
     ]
     out = path.with_name("recovered.db")
-    assert recover_map(path, out) == (8, 1)
+    assert recover_map(path, out)[:2] == (8, 1)
     assert check_map(out) == []
     with MapStore.open(out) as store:
         assert [k.frame_index for k in store.keyframes()] == [0, 4, 8, 16, 20, 24, 28, 32]
@@ -131,11 +131,11 @@ def test_a_keyframe_is_lost_with_all_that_names_it(path: Path) -> None:
 
 
 def test_a_damaged_frame_becomes_a_lost_one_and_shifts_no_other(path: Path) -> None:
-    change(path, "UPDATE frames SET T_odom_raw = zeroblob(96) WHERE frame_index IN (6, 7)")
     with MapStore.open(path) as store:
         before = store.frames(0)
+    change(path, "UPDATE frames SET T_odom_raw = zeroblob(96) WHERE frame_index IN (6, 7)")
     out = path.with_name("recovered.db")
-    assert recover_map(path, out) == (9, 0)
+    assert recover_map(path, out)[:2] == (9, 0)
     assert check_map(out) == []
     with MapStore.open(out) as store:
         after = store.frames(0)
@@ -147,7 +147,7 @@ def test_a_damaged_frame_becomes_a_lost_one_and_shifts_no_other(path: Path) -> N
 def test_a_damaged_session_costs_no_keyframe(path: Path) -> None:
     change(path, "UPDATE sessions SET sequence = CAST(x'726fff6d' AS TEXT), seed = 7 WHERE id = 0")
     out = path.with_name("recovered.db")
-    assert recover_map(path, out) == (9, 0)
+    assert recover_map(path, out)[:2] == (9, 0)
     assert check_map(out) == []
     with MapStore.open(out) as store:
         first, second = store.sessions()
@@ -158,7 +158,7 @@ def test_a_damaged_session_costs_no_keyframe(path: Path) -> None:
 def test_a_configuration_that_is_none_any_more_is_left_out(path: Path) -> None:
     change(path, "UPDATE sessions SET config = 'seed: [' WHERE id = 0")
     out = path.with_name("recovered.db")
-    assert recover_map(path, out) == (9, 0)
+    assert recover_map(path, out)[:2] == (9, 0)
     with MapStore.open(out) as store:
         assert [session.config for session in store.sessions()] == ["", "seed: 3\n"]
 
@@ -166,7 +166,7 @@ def test_a_configuration_that_is_none_any_more_is_left_out(path: Path) -> None:
 def test_labels_are_not_kept_without_their_names(path: Path) -> None:
     change(path, "UPDATE parameters SET value = '[\"kitchen\"]' WHERE key = 'classes'")
     out = path.with_name("recovered.db")
-    assert recover_map(path, out) == (9, 0)
+    assert recover_map(path, out)[:2] == (9, 0)
     with MapStore.open(out) as store:
         assert [k.scene for k in store.keyframes()] == [None] * 9
     assert check_map(out) == []
