@@ -186,22 +186,20 @@ class Backend(Protocol):
         At the start of a segment that factor is very weak, because odometry was lost in between.
         """
 
-    def set_step(
-        self, keyframe_id: int, T_before_keyframe: Pose, relative_sigmas: Array | None
+    def set_odometry(
+        self, T_odom_camera: Mapping[int, Pose], relative_sigmas: Array | None
     ) -> None:
-        """Replace the odometry factor between a node and the node before it.
+        """Replace the odometry factors between nodes; it takes effect in the next ``optimize``.
 
-        It takes effect in the next ``optimize``.
+        Factors between segments stay as they are.
 
         Parameters
         ----------
-        keyframe_id
-            The node. It belongs to the same segment as the node before it.
-        T_before_keyframe
-            (4, 4) its pose in the camera frame of the node before it.
+        T_odom_camera
+            The pose (4, 4) of each node by odometry.
         relative_sigmas
-            (2,) standard deviations of its rotation and translation, as multiples of that of an
-            average loop; None for those of ``add_keyframe``.
+            (2,) standard deviations of the rotation and translation from one keyframe to the next,
+            as multiples of that of an average loop; None for those of ``add_keyframe``.
         """
 
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:

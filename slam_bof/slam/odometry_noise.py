@@ -29,36 +29,39 @@ TINY = 1e-18
 
 
 class OdometryNoise:
-    """Takes the keyframes of one uninterrupted odometry, and the edges between them."""
+    """Takes the keyframes of an odometry, and the edges between them.
+
+    ``T_odom_camera`` has the pose (4, 4) of each keyframe by its id.
+    """
 
     def __init__(self) -> None:
-        self._T_odom_camera: dict[int, Pose] = {}
+        self.T_odom_camera: dict[int, Pose] = {}
         self._neighbours: dict[int, dict[int, Array]] = {}
         self._n_triples = self._n_steps = self._n_passed = 0
         # Sums of squares over the three axes, of rotation and of translation, each (2,):
         self._walk = np.zeros(2)
         self._closure = np.zeros(2)
-        self._step = np.zeros(2)
+        self._off_step = np.zeros(2)
 
     def add_keyframe(self, keyframe_id: int, T_odom_camera: Pose) -> None:
         """Add a keyframe by its pose (4, 4) from odometry."""
-        self._T_odom_camera[keyframe_id] = T_odom_camera
+        self.T_odom_camera[keyframe_id] = T_odom_camera
         self._neighbours[keyframe_id] = {}
 
     def add_edge(self, match_id: int, query_id: int, T_match_query: Pose) -> None:
         """Add an edge that holds all directions. One of an unknown keyframe says nothing."""
-        if not {match_id, query_id} <= self._T_odom_camera.keys():
+        if not {match_id, query_id} <= self.T_odom_camera.keys():
             return
         if match_id > query_id:
             match_id, query_id, T_match_query = query_id, match_id, se3.inverse(T_match_query)
-        by_odometry = self.step(match_id, query_id)
+        by_odometry = self._step(match_id, query_id)
         self._neighbours[match_id][query_id] = self._neighbours[query_id][match_id] = se3.log(
             se3.inverse(T_match_query) @ by_odometry
         )
         for other in self._neighbours[match_id].keys() & self._neighbours[query_id].keys():
             self._add_triple(*sorted((match_id, query_id, other)))
         if query_id == match_id + 1:
-            self._step = self._step + _squares(self._neighbours[match_id][query_id])
+            self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
             self._n_steps += 1
 
     def relative_sigmas(self) -> Array | None:
@@ -72,12 +75,12 @@ class OdometryNoise:
             return None
         walk = np.maximum(self._walk / self._n_passed, 0.0)
         closure = self._closure / (3 * self._n_triples)
-        step = np.maximum(self._step / self._n_steps - closure, 0.0)
+        step = np.maximum(self._off_step / self._n_steps - closure, 0.0)
         return np.asarray(np.sqrt((walk + step) / np.maximum(closure, TINY)))
 
     def _add_triple(self, i: int, j: int, k: int) -> None:
         """Learn from three keyframes, in the order of time, with an edge between each two."""
-        T_k_j = self.step(k, j)
+        T_k_j = self._step(k, j)
         a = se3.log(T_k_j @ se3.exp(self._neighbours[i][j]) @ se3.inverse(T_k_j))
         b, c = self._neighbours[j][k], self._neighbours[i][k]
         self._walk = self._walk + _products(a + b, c) + 2.0 * _products(a, b)
@@ -85,9 +88,9 @@ class OdometryNoise:
         self._n_passed += k - i
         self._n_triples += 1
 
-    def step(self, a: int, b: int) -> Pose:
-        """Return the pose (4, 4) of keyframe b in the camera of keyframe a, by odometry."""
-        return se3.inverse(self._T_odom_camera[a]) @ self._T_odom_camera[b]
+    def _step(self, a: int, b: int) -> Pose:
+        """Return the pose (4, 4) of keyframe b in the camera of keyframe a."""
+        return se3.inverse(self.T_odom_camera[a]) @ self.T_odom_camera[b]
 
 
 def _products(a: Array, b: Array) -> Array:

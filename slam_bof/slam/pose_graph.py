@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
@@ -19,8 +18,7 @@ from slam_bof.types import Array, EdgeKind, Keyframe, Loop
 __all__ = ["MapGraph"]
 
 MAX_RELATIVE_SIGMA = 2.0
-"""Steps by odometry replace those by tracking if they are not less precise than an edge by more
-than this factor."""
+"""Odometry replaces tracking if it is not less precise than an edge by more than this factor."""
 
 
 class MapGraph:
@@ -74,7 +72,7 @@ class MapGraph:
         self.backend.add_keyframe(keyframe)
         self.components.add(keyframe.segment)
         self._keyframes.append(keyframe)
-        if keyframe.T_odom_raw is not None:
+        if keyframe.T_odom_raw is not None and keyframe.step_covariance is None:
             noise = self._noise.setdefault(keyframe.session, OdometryNoise())
             noise.add_keyframe(keyframe.id, keyframe.T_odom_raw)
         self.in_use = np.append(self.in_use, keyframe.id)
@@ -113,7 +111,7 @@ class MapGraph:
     def optimize(self) -> None:
         """Optimise all of it; loops that contradict the rest move to those left out."""
         if len(self.log):
-            self._choose_steps()
+            self._choose_odometry()
             self._left_out = set(np.flatnonzero(self.backend.optimize() < 0.5).tolist())
             self._refresh()
 
@@ -174,20 +172,17 @@ class MapGraph:
             if noise is not None:
                 noise.add_edge(loop.match_id, loop.query_id, loop.T_match_query)
 
-    def _choose_steps(self) -> None:
+    def _choose_odometry(self) -> None:
         """Let the steps of each session be those of odometry if it is precise, or of tracking."""
-        in_use = self.in_use.tolist()
-        for before, keyframe in itertools.pairwise(self._keyframes[k] for k in in_use):
-            is_step = keyframe.id == before.id + 1 and before.segment == keyframe.segment
-            if not is_step or keyframe.step_covariance is not None:
-                continue
-            noise = self._noise.get(keyframe.session)
-            sigmas = None if noise is None else noise.relative_sigmas()
-            if noise is None or sigmas is None or sigmas.max() > MAX_RELATIVE_SIGMA:
-                step = se3.inverse(before.T_odom_camera) @ keyframe.T_odom_camera
-                self.backend.set_step(keyframe.id, step, None)
+        for noise in self._noise.values():
+            keyframes = [self._keyframes[k] for k in self.in_use]
+            keyframes = [k for k in keyframes if k.id in noise.T_odom_camera]
+            sigmas = noise.relative_sigmas()
+            if sigmas is None or sigmas.max() > MAX_RELATIVE_SIGMA:
+                self.backend.set_odometry({k.id: k.T_odom_camera for k in keyframes}, None)
             else:
-                self.backend.set_step(keyframe.id, noise.step(before.id, keyframe.id), sigmas)
+                poses = {k.id: noise.T_odom_camera[k.id] for k in keyframes}
+                self.backend.set_odometry(poses, sigmas)
 
     def _join(self, loop: Loop) -> None:
         """Where the loop is between two components, carry the younger to the older."""
