@@ -81,7 +81,7 @@ class MapGraph:
     def cull(self, anchors: Mapping[int, int], max_edges: int) -> None:
         """Contract keyframes into their anchors (values), which stay; their poses follow these.
 
-        ``max_edges`` is the largest number of edges that an anchor inherits edges up to.
+        ``max_edges`` is the number of edges of a keyframe up to which it inherits those of others.
         """
         culled = list(anchors)
         T = self._T_map_camera.rows
