@@ -234,7 +234,8 @@ class KeyframeMap:
                 guesses=found.guesses,
             )
         self._add_loops(keyframe, verified.admitted)
-        self._culling.undecided.append(keyframe.id)
+        if self._can_cull:
+            self._culling.undecided.append(keyframe.id)
         return verified
 
     def cull(self) -> tuple[tuple[int, int], ...]:
@@ -286,7 +287,7 @@ class KeyframeMap:
         self._culling.undecided = list(state.get("undecided", ()))
 
     def _let_go(self, anchors: dict[int, int]) -> None:
-        if not anchors:
+        if not anchors or not self.graph.can_cull:
             return
         self.graph.cull(anchors, self._config.map.max_edges)
         self._detector.remove(anchors)
