@@ -147,12 +147,15 @@ class GtsamBackend:
                 self._steps[key] = step._replace(measured=motion)
         self._start_afresh(gtsam.ISAM2Params())
 
-    def contract(self, anchors: Mapping[int, int], max_edges: int) -> None:
-        """Contract nodes into their anchors, and start iSAM2 afresh with what stays."""
+    def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
+        """Contract nodes into their anchors, and start iSAM2 afresh with what stays.
+
+        Before the nodes are fixed for good, the loops that waited for the end have their say.
+        """
+        self._estimate = optimized(self._graph(), self._estimate, self.params.n_updates)
         kept = [self._loops[k] for k in self._kept()]
-        contraction = Contraction(
-            attach(self._estimate, anchors, kept, self.params.loop_sigma), max_edges
-        )
+        gone = attach(self._estimate, anchors, kept, self.params.loop_sigma)
+        contraction = Contraction(gone, max_edges)
         untouched = {k: loop for k, loop in self._loops.items() if not contraction.touches(loop[0])}
         for edge, _ in [*untouched.values(), *self._settled]:
             if not contraction.touches(edge):
@@ -169,6 +172,7 @@ class GtsamBackend:
             self._estimate.erase(key)
             del self._nodes[key]
         self._start_afresh(gtsam.ISAM2Params())
+        return np.array([node.T_anchor_node.matrix() for node in gone.values()])
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.

@@ -84,15 +84,15 @@ class MapGraph:
         ``max_edges`` is the number of edges of a keyframe up to which it inherits those of others.
         """
         culled = list(anchors)
-        T = self._T_map_camera.rows
-        of_anchors = list(anchors.values())
-        self._T_anchor_keyframe.put(culled, se3.inverse(T[of_anchors]) @ T[culled])
-        self._anchors.put(culled, of_anchors)
+        if not culled:
+            return
         assert isinstance(self.backend, ContractingBackend)
-        self.backend.contract(anchors, max_edges)
+        self._T_anchor_keyframe.put(culled, self.backend.contract(anchors, max_edges))
+        self._anchors.put(culled, list(anchors.values()))
         self.components.cull(culled)
         self.log.cull(culled)
         self.in_use = self.in_use[~np.isin(self.in_use, culled)]
+        self._refresh()
 
     def optimize(self) -> None:
         """Optimise all of it; loops that contradict the rest move to those left out."""
