@@ -186,6 +186,22 @@ class Backend(Protocol):
         At the start of a segment that factor is very weak, because odometry was lost in between.
         """
 
+    def set_odometry(
+        self, T_odom_camera: Mapping[int, Pose], relative_sigmas: Array | None
+    ) -> None:
+        """Replace the odometry factors between nodes; it takes effect in the next ``optimize``.
+
+        Factors between segments stay as they are.
+
+        Parameters
+        ----------
+        T_odom_camera
+            The pose (4, 4) of each node by odometry.
+        relative_sigmas
+            (2,) standard deviations of the rotation and translation from one keyframe to the next,
+            as multiples of that of an average loop; None for those of ``add_keyframe``.
+        """
+
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Move nodes rigidly by ``T`` (4, 4), given in the map frame, before a loop joins them.
 

@@ -134,6 +134,24 @@ class GtsamBackend:
         self._newest = keyframe
         self._held.add(keyframe.segment)
 
+    def set_odometry(
+        self, T_odom_camera: Mapping[int, Pose], relative_sigmas: Array | None
+    ) -> None:
+        """Replace the odometry between nodes; it takes effect in the next ``optimize``."""
+        for key, step in self._steps.items():
+            is_changed = relative_sigmas is not None or step.is_precise
+            if step.is_lost or not is_changed or not {step.before, key} <= T_odom_camera.keys():
+                continue
+            noise = self._odometry_noise
+            if relative_sigmas is not None:
+                sigma = self.params.loop_sigma * relative_sigmas * np.sqrt(abs(key - step.before))
+                floored = np.maximum(sigma, STEP_FLOOR).tolist()
+                noise = gtsam.noiseModel.Diagonal.Sigmas(step_sigmas(*floored))
+            motion = se3.inverse(T_odom_camera[step.before]) @ T_odom_camera[key]
+            self._steps[key] = step._replace(
+                measured=pose3(motion), noise=noise, is_precise=relative_sigmas is not None
+            )
+
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there.
 

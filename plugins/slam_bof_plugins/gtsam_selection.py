@@ -81,6 +81,7 @@ class Step(NamedTuple):
     """Odometry to a node from the one before: all but the first have one, and form a tree.
 
     ``is_lost`` says that odometry was lost on the way, and that the step is worth next to nothing.
+    ``is_precise`` says that it is as precise as a loop: then it judges loops by its own noise.
     """
 
     before: int
@@ -88,6 +89,7 @@ class Step(NamedTuple):
     measured: gtsam.Pose3
     noise: gtsam.noiseModel.Gaussian
     is_lost: bool
+    is_precise: bool = False
 
 
 class Node(NamedTuple):
@@ -207,7 +209,7 @@ def _chain(
 ) -> gtsam.NonlinearFactorGraph:
     """Return a graph that holds the first node fast and each other one to the one before it.
 
-    From segment to segment it hardly holds.
+    From segment to segment it hardly holds; precise steps are those of odometry.
     """
     graph = gtsam.NonlinearFactorGraph()
     fast = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
@@ -217,5 +219,7 @@ def _chain(
     for step in steps:
         motion = values.atPose3(step.before).between(values.atPose3(step.node))
         held = loose if step.is_lost else noise
+        if step.is_precise:
+            motion, held = step.measured, step.noise
         graph.add(gtsam.BetweenFactorPose3(step.before, step.node, motion, held))
     return graph

@@ -248,10 +248,11 @@ def serve() -> None:
         while True:
             try:
                 request = pickle.load(requests)
-            except EOFError:
-                return
-            answers.write(_answer(map_, request))
-            answers.flush()
+            except (EOFError, pickle.UnpicklingError):
+                return  # the caller has ended, perhaps within a request
+            with contextlib.suppress(BrokenPipeError):
+                answers.write(_answer(map_, request))
+                answers.flush()
 
 
 def _answer(map_: KeyframeMap | _Failure, request: KeyframeJob | _Call) -> bytes:

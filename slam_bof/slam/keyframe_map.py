@@ -182,6 +182,7 @@ class KeyframeMap:
         *,
         segment: int,
         step_covariance: Array | None = None,
+        T_odom_raw: Pose | None = None,
     ) -> Keyframe:
         """Describe and label a frame as the next keyframe."""
         with self._clock.stage("describe"):
@@ -211,6 +212,7 @@ class KeyframeMap:
             smoothed=smoothed,
             session=self.session,
             step_covariance=step_covariance,
+            T_odom_raw=T_odom_raw,
         )
 
     def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:

@@ -52,7 +52,7 @@ comes again before that of the next keyframe, and at the end."""
 
 FIELDS = (
     *("history", "n_postponed", "_tracker", "_camera", "_session"),
-    *("_newest", "_chosen", "_T_map_track", "_updates"),
+    *("_newest", "_chosen", "_T_map_track", "_updates", "_last"),
 )
 """Attributes of a loop closer that refer to other objects after a call."""
 
@@ -101,6 +101,7 @@ class LoopCloser:
         self._newest: Keyframe | None = None
         self._chosen: _Chosen | None = None
         self._T_map_track: Pose = np.eye(4)
+        self._last: tuple[Track, Pose] | None = None
         self._updates: list[MapUpdate] = []
         self._unsaved: list[KeyframeRecord] = []
         self.n_postponed = 0
@@ -226,9 +227,12 @@ class LoopCloser:
             self._chosen = _Chosen(frame_index, track.segment)
             is_saved = self.journal is not None
             state = self._state() if is_saved else {}
-            update = self._mapping.submit(KeyframeJob(frame_index, frame, track, state, is_saved))
+            update = self._mapping.submit(
+                KeyframeJob(frame_index, frame, T_odom_camera, track, state, is_saved)
+            )
             if update is not None:
                 self._apply(update)
+        self._last = track, T_odom_camera
         return self._step(track, T_odom_camera)
 
     def _step(self, track: Track, T_odom_camera: Pose) -> Step:
@@ -243,6 +247,7 @@ class LoopCloser:
             T_map_camera @ se3.inverse(T_odom_camera),
             is_lost=track.is_lost,
             open_axes=track.open_axes,
+            T_map_camera=T_map_camera,
         )
 
     @one_blas_thread()
@@ -355,10 +360,18 @@ class LoopCloser:
         self._map.begin_session()
         self._session += 1
         self.history = FrameHistory()
-        self._chosen = None
+        self._chosen = self._last = None
         segment = self._newest.segment + 1 if self._newest else 0
         self._tracker = Tracker(self._config.tracking, seed=self._config.seed, segment=segment)
         self._selector.reset()
+
+    def poll(self) -> Step | None:
+        """Return the step of the newest frame as it is now; None before the first frame.
+
+        Between frames, or after the last, it brings what came of keyframes in the background.
+        """
+        with self._whole():
+            return None if self._last is None else self._step(*self._last)
 
     def drain(self) -> None:
         """Wait until all keyframes so far are in the map; the next step returns what came of them.

@@ -19,7 +19,7 @@ __all__ = ["DirectMapping", "KeyframeJob", "MapUpdate", "Mapping", "map_keyframe
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeJob:
-    """A frame that becomes a keyframe, and where tracking has it.
+    """A frame that becomes a keyframe, and where odometry and tracking have it.
 
     ``state`` is the state of tracking, as JSON values. ``is_saved`` is whether the keyframe has a
     journal, which needs its depth and the state of the map.
@@ -27,6 +27,7 @@ class KeyframeJob:
 
     frame_index: int
     frame: DepthFrame
+    T_odom_raw: Pose
     track: Track
     state: dict[str, Any]
     is_saved: bool
@@ -56,6 +57,7 @@ def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
         job.track.T_odom_camera,
         segment=job.track.segment,
         step_covariance=job.track.step_covariance,
+        T_odom_raw=job.T_odom_raw,
     )
     verified = map_.add(keyframe, job.frame)
     culled = map_.cull()

@@ -12,13 +12,20 @@ from slam_bof.geometry import se3
 from slam_bof.ports import Backend, ContractingBackend
 from slam_bof.slam.components import MapComponents
 from slam_bof.slam.loop_log import LoopLog
-from slam_bof.types import Array, Keyframe, Loop
+from slam_bof.slam.odometry_noise import OdometryNoise
+from slam_bof.types import Array, EdgeKind, Keyframe, Loop
 
 __all__ = ["MapGraph"]
+
+MAX_RELATIVE_SIGMA = 2.0
+"""Odometry replaces tracking if it is not less precise than an edge by more than this factor."""
 
 
 class MapGraph:
     """Takes keyframes and loops in the order they come; joins components that loops join.
+
+    Steps from keyframe to keyframe are those of tracking. If odometry turns out to be as precise as
+    the edges between keyframes, they become those of odometry in the final optimisation.
 
     Attributes
     ----------
@@ -42,6 +49,8 @@ class MapGraph:
         self._anchors = GrowingArray((), np.int64)
         self._T_anchor_keyframe = GrowingArray((4, 4), np.float64)
         self._path_m = GrowingArray((), np.float64)
+        self._keyframes: dict[int, Keyframe] = {}
+        self._noise: dict[int, OdometryNoise] = {}
 
     @property
     def loops(self) -> list[Loop]:
@@ -62,6 +71,9 @@ class MapGraph:
         """Add a node where odometry has it from the one before."""
         self.backend.add_keyframe(keyframe)
         self.components.add(keyframe.segment)
+        self._keyframes[keyframe.id] = keyframe
+        if keyframe.T_odom_raw is not None and keyframe.step_covariance is None:
+            self._noise_of(keyframe).add_keyframe(keyframe.id, keyframe.T_odom_raw)
         self.in_use = np.append(self.in_use, keyframe.id)
         self._T_map_camera.append(np.eye(4))
         self._anchors.append(keyframe.id)
@@ -75,6 +87,7 @@ class MapGraph:
             self._join(loop)
             self.backend.add_loop(loop)
             self.log.append(loop)
+            self._learn(loop)
         self.backend.update()
         self._refresh()
 
@@ -91,12 +104,15 @@ class MapGraph:
         self._anchors.put(culled, list(anchors.values()))
         self.components.cull(culled)
         self.log.cull(culled)
+        for keyframe_id in culled:
+            self._noise_of(self._keyframes.pop(keyframe_id)).forget(keyframe_id)
         self.in_use = self.in_use[~np.isin(self.in_use, culled)]
         self._refresh()
 
     def optimize(self) -> None:
         """Optimise all of it; loops that contradict the rest move to those left out."""
         if len(self.log):
+            self._choose_odometry()
             self._left_out = set(np.flatnonzero(self.backend.optimize() < 0.5).tolist())
             self._refresh()
 
@@ -148,6 +164,27 @@ class MapGraph:
             return before_m
         step_m = np.diff(self._T_map_camera.rows[-2:, :3, 3], axis=0)
         return before_m + float(np.linalg.norm(step_m))
+
+    def _learn(self, loop: Loop) -> None:
+        """Learn how precise odometry is from an edge of one uninterrupted track."""
+        match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
+        if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
+            self._noise_of(query).add_edge(loop.match_id, loop.query_id, loop.T_match_query)
+
+    def _noise_of(self, keyframe: Keyframe) -> OdometryNoise:
+        return self._noise.setdefault(keyframe.session, OdometryNoise())
+
+    def _choose_odometry(self) -> None:
+        """Let the steps of each session be those of odometry if it is precise, or of tracking."""
+        for noise in self._noise.values():
+            keyframes = [self._keyframes[k] for k in self.in_use]
+            keyframes = [k for k in keyframes if k.id in noise.T_odom_camera]
+            sigmas = noise.relative_sigmas()
+            if sigmas is None or sigmas.max() > MAX_RELATIVE_SIGMA:
+                self.backend.set_odometry({k.id: k.T_odom_camera for k in keyframes}, None)
+            else:
+                poses = {k.id: noise.T_odom_camera[k.id] for k in keyframes}
+                self.backend.set_odometry(poses, sigmas)
 
     def _join(self, loop: Loop) -> None:
         """Where the loop is between two components, carry the younger to the older."""

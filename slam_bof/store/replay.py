@@ -73,6 +73,7 @@ def replay_keyframes(
             keyframe=replace(
                 keyframe,
                 T_odom_camera=poses[-1].T_odom_camera,
+                T_odom_raw=poses[-1].T_odom_raw,
                 step_covariance=poses[-1].step_covariance,
             ),
             depth=store.depth_of(views[0]),

@@ -24,9 +24,9 @@ def check_backend(make: Callable[[], Backend]) -> None:
     """Check that a back-end obeys its port.
 
     Without loops the map is the odometry; true loops reduce drift, at once and at the end; a wrong
-    one among many is weighed below 0.5; ``move`` carries a part; ``contract``, if there is one,
-    removes nodes and leaves the others where they are; the graph is written as g2o; the same input
-    gives the same bytes.
+    one among many is weighed below 0.5; ``move`` carries a part; ``set_odometry`` replaces the
+    odometry; ``contract``, if there is one, removes nodes and leaves the others where they are; the
+    graph is written as g2o; the same input gives the same bytes.
 
     Parameters
     ----------
@@ -50,6 +50,7 @@ def check_backend(make: Callable[[], Backend]) -> None:
         expect_rigid(T, f"pose {index}")
     _check_g2o(closed)
     _check_move(make())
+    _check_set_odometry(make())
     contracting = make()
     if isinstance(contracting, ContractingBackend):
         _check_contract(contracting)
@@ -116,6 +117,18 @@ def _check_move(backend: Backend) -> None:
     after = backend.poses()
     _expect_near(after[younger], T @ before[younger], 1e-2, "move must carry the nodes by T")
     _expect_near(after[: N + 1], before[: N + 1], 1e-2, "move must leave the other nodes alone")
+
+
+def _check_set_odometry(backend: Backend) -> None:
+    """Replace steps that drift by true ones, which are precise."""
+    truth, odometry = _twice_round()
+    _add(backend, odometry)
+    loop = se3.inverse(odometry[0]) @ odometry[N]
+    backend.add_loop(Loop(N, 0, loop, 100.0 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
+    backend.update()
+    backend.set_odometry(dict(enumerate(truth)), np.full(2, 0.01))
+    backend.optimize()
+    _expect_near(backend.poses(), truth, 1e-2, "precise steps must outweigh a loop")
 
 
 def _check_contract(backend: ContractingBackend) -> None:

@@ -24,7 +24,8 @@ class Keyframe:
     also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
     that the keyframe comes from: a map may hold several runs, each with its own frames and
     odometry. ``step_covariance`` (6, 6) is that of the step since the keyframe before, rotation
-    first in rad^2 and m^2, and None where the odometry's covariance is not known.
+    first in rad^2 and m^2, and None where the odometry's covariance is not known. ``T_odom_raw`` is
+    the pose from odometry as it was given.
     """
 
     id: int
@@ -37,6 +38,7 @@ class Keyframe:
     smoothed: Scene | None = None
     session: int = 0
     step_covariance: Array | None = None
+    T_odom_raw: Pose | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +73,8 @@ class Step:
     ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
     wrong and no better one is known. ``open_axes`` (6, k) are the directions in which the surfaces
     in sight hold nothing, as tangents of the camera's pose, rotation first; the pose along them is
-    that of odometry.
+    that of odometry. ``T_map_camera`` is the pose of the frame in the map; None for a frame that
+    was restored from an interrupted run.
     """
 
     keyframe: Keyframe | None
@@ -81,6 +84,7 @@ class Step:
     T_map_odom: Pose
     is_lost: bool = False
     open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+    T_map_camera: Pose | None = None
 
     @property
     def health(self) -> str:

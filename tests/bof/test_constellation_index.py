@@ -180,3 +180,12 @@ def test_common_shapes_do_not_vote_where_votes_are_many(index):
         assert len(candidates) <= len(index.candidates(query, 10))
         assert len(none.candidates(query, 10)) == 0
     assert found >= 12
+
+
+@pytest.mark.parametrize(("max_views_beside", "is_found"), [(0, False), (1, True)])
+def test_slices_beside_are_looked_in_while_the_map_is_small(max_views_beside, is_found):
+    index = ConstellationIndex(IndexParams(max_views_beside=max_views_beside))
+    index.add(view(3))
+    higher = view(3)._replace(slices=view(3).slices + np.int8(1))
+    assert (0 in index.candidates(higher, 1)) == is_found
+    assert 0 in index.candidates(view(3), 1)
