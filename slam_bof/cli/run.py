@@ -62,7 +62,10 @@ def run(
         ),
     ] = None,
     model: Annotated[str | None, typer.Option(help="Model file, default or synthetic.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=2**32 - 1, help="Seed of everything random, below 2^32."),
+    ] = None,
     frames: FRAMES = None,
     max_frames: MAX_FRAMES = None,
     map_: Annotated[

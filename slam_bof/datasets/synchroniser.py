@@ -107,7 +107,14 @@ class FramePoseSynchroniser:
 
         One that is not newer than those given out already is dropped; one that there is no room
         for is refused, and still yours.
+
+        Raises
+        ------
+        ValueError
+            If its stamp is not finite.
         """
+        if not np.isfinite(frame.stamp_s):
+            raise ValueError(f"a frame's stamp must be finite, got {frame.stamp_s}")
         if self.is_full:
             return False
         stamps_s = [waiting.stamp_s for waiting in self._frames]

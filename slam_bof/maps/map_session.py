@@ -11,7 +11,7 @@ from types import TracebackType
 from typing import Self
 
 from slam_bof.core import keep_going
-from slam_bof.errors import MapError
+from slam_bof.errors import MapError, SlamBofError
 from slam_bof.scenes import MapRoom, label_map, model as models
 from slam_bof.slam import Config, LoopCloser, config as configs
 from slam_bof.store import MapStore, MapWriter, Session, SessionResult, replay_keyframes
@@ -157,8 +157,22 @@ def restore_session(closer: LoopCloser, store: MapStore, session: Session, *, is
 
     If the session ``is_new``, it is begun in both; otherwise the closer is where the session's
     last saved keyframe left it.
+
+    Raises
+    ------
+    MapError
+        If a row is damaged, or the map holds what no run has left.
     """
-    closer.restore(replay_keyframes(store, reopened_session=None if is_new else session.id))
+    records = replay_keyframes(store, reopened_session=None if is_new else session.id)
+    try:
+        closer.restore(records)
+    except SlamBofError:
+        raise
+    except (ArithmeticError, AttributeError, LookupError, RuntimeError, TypeError, ValueError) as e:
+        raise MapError(
+            f"{store.path}: found what cannot be continued ({' '.join(repr(e).split())[:200]}), "
+            "expected what a run has left"
+        ) from e
     while closer.map.session < session.id:
         closer.begin_session()
     if is_new:
@@ -194,6 +208,7 @@ def finish_session(
             config.labels,
             config.rooms,
             components=closer.map.components,
+            anchors=closer.map.anchors,
         )
     store.finish(
         session.id,

@@ -230,7 +230,9 @@ class LoopCloser:
             self._chosen = _Chosen(frame_index, track.segment)
             is_saved = self.journal is not None
             state = self._state() if is_saved else {}
-            update = self._mapping.submit(KeyframeJob(frame_index, frame, track, state, is_saved))
+            update = self._mapping.submit(
+                KeyframeJob(frame_index, frame, T_odom_camera, track, state, is_saved)
+            )
             if update is not None:
                 self._apply(update)
         self._last = track, T_odom_camera
@@ -540,6 +542,7 @@ class LoopCloser:
                 candidates=tuple(verified.candidates),
                 measured=tuple(verified.measured),
                 admitted=tuple(verified.admitted),
+                culled=update.culled,
                 state=update.state,
             )
             self._unsaved.append(record)

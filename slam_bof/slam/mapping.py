@@ -19,7 +19,7 @@ __all__ = ["DirectMapping", "KeyframeJob", "MapUpdate", "Mapping", "map_keyframe
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeJob:
-    """A frame that becomes a keyframe, and where tracking has it.
+    """A frame that becomes a keyframe, and where odometry and tracking have it.
 
     ``state`` is the state of tracking, as JSON values. ``is_saved`` is whether the keyframe has a
     journal, which needs its depth and the state of the map.
@@ -27,6 +27,7 @@ class KeyframeJob:
 
     frame_index: int
     frame: DepthFrame
+    T_odom_raw: Pose
     track: Track
     state: dict[str, Any]
     is_saved: bool
@@ -34,7 +35,7 @@ class KeyframeJob:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapUpdate:
-    """A keyframe that is in the map.
+    """A keyframe that is in the map, and those that the map let go of with it.
 
     ``T_map_track`` is the correction of its track by the map. ``depth`` and ``state``, of tracking
     and of the map, are for the journal.
@@ -42,6 +43,7 @@ class MapUpdate:
 
     keyframe: Keyframe
     verified: Verified
+    culled: tuple[tuple[int, int], ...]
     T_map_track: Pose
     depth: SubsampledDepth | None
     state: dict[str, Any]
@@ -55,11 +57,14 @@ def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
         job.track.T_odom_camera,
         segment=job.track.segment,
         step_covariance=job.track.step_covariance,
+        T_odom_raw=job.T_odom_raw,
     )
     verified = map_.add(keyframe, job.frame)
+    culled = map_.cull()
     return MapUpdate(
         keyframe,
         verified,
+        culled,
         map_.T_map_track,
         subsample(job.frame) if job.is_saved else None,
         {**job.state, "detector": map_.state()} if job.is_saved else {},

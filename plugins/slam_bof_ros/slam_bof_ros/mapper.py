@@ -154,7 +154,7 @@ class Mapper:
         keyframes = map_.keyframes
         n = len(keyframes)  # more may have come when the rest is read
         T_map_camera = map_.poses()[:n] if n else np.empty((0, 4, 4))
-        components = map_.components[:n]
+        components, anchors = map_.components[:n], map_.anchors[:n]
         loops = [loop for loop in map_.loops if max(loop.query_id, loop.match_id) < n]
         labels, rooms = label_map(
             keyframes,
@@ -162,6 +162,7 @@ class Mapper:
             self._config.labels,
             self._config.rooms,
             components=components,
+            anchors=anchors,
         )
         return MapSnapshot(keyframes, T_map_camera, components, loops, labels, rooms)
 
