@@ -188,6 +188,9 @@ class LoopCloser:
             accepted with the next frame that confirms it.
         RuntimeError
             If it is called from inside another call, such as by the journal.
+        Exception
+            In the background, what an earlier keyframe has raised, which is then not in the map.
+            This frame has not been processed, and may be given again.
         """
         with self._whole() as before:
             return self._process(before, frame, T_odom_camera, covariance, T_view_camera)
