@@ -26,9 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
-from slam_bof.core import describe_error
+from slam_bof.core import describe_error, open_npy
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import checked_intrinsics
+from slam_bof.geometry import checked_depth, checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_stamps,
@@ -186,7 +186,7 @@ def _read_camera(file: Path) -> CameraFile:
         said = describe_error(error, CameraFile)
         hint = "; it is units a metre, such as 1000" if "'depth_scale'" in said else ""
         raise DatasetError(f"{file}: {said}{hint}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DatasetError(f"{file}: found no JSON object ({error}), expected a camera") from error
 
 
@@ -246,16 +246,18 @@ def _read_depth(file: Path, units_per_m: float | None) -> NDArray[Any]:
     array = np.array(_open_array(file))
     if array.dtype == np.uint16:
         return scale_depth(array, units_per_m or 1000.0)
-    return (array.astype(np.float64) / (units_per_m or 1.0)).astype(np.float32)
+    with np.errstate(over="ignore"):  # beyond float32: infinite, which is missing
+        depth_m = (array.astype(np.float64) / (units_per_m or 1.0)).astype(np.float32)
+    return checked_depth(file, depth_m)
 
 
 def _open_array(file: Path) -> NDArray[Any]:
     """Map an array into memory: so far, only its header is read."""
     try:
-        array: NDArray[Any] = np.load(file, mmap_mode="r", allow_pickle=False)
+        array = open_npy(file)
     except FileNotFoundError:
         raise DatasetError(f"{file}: found no such file, expected a depth image") from None
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise DatasetError(f"{file}: found no whole array ({reason}), expected depth") from error
     if array.ndim != 2 or not (array.dtype == np.uint16 or array.dtype.kind == "f"):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -171,11 +172,11 @@ def _read_json(file: Path) -> dict[str, Any]:
     expected = f"a camera with positive numbers {', '.join(KNOWN_CAMERA)}, scale"
     try:
         camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8-sig"))["camera"]
-        if not all(float(camera[key]) > 0.0 for key in (*KNOWN_CAMERA, "scale")):
+        if not all(0.0 < float(camera[key]) < math.inf for key in (*KNOWN_CAMERA, "scale")):
             raise ValueError("a number that is not positive")
     except KeyError as error:
         raise DatasetError(f"{file}: found no key {error}, expected {expected}") from error
-    except (OSError, TypeError, ValueError) as error:
+    except (OSError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise DatasetError(f"{file}: found {error!r}, expected {expected}") from error
     return camera
 

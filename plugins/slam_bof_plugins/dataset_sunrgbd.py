@@ -13,8 +13,10 @@ no times: an image's index counts as its time in seconds.
 
 from __future__ import annotations
 
+import json
 import logging
-import zlib
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -38,6 +40,7 @@ SENSORS = ("kv1", "kv2", "realsense", "xtion")
 SPLIT = Path("SUNRGBDtoolbox", "traintestSUNRGBD", "allsplit.mat")
 HALVES = ("alltrain", "alltest")
 MAX_DEPTH_MM = 8000
+TIMEOUT_S = 120.0
 
 SCENES = (
     "bathroom", "bedroom", "classroom", "computer_room", "conference_room", "corridor",
@@ -180,39 +183,44 @@ def _split_file(images: Path) -> Path:
 
 def _read_split(file: Path, images: Path) -> Iterator[tuple[Path, bool]]:
     """Yield the folder of each image of the split, and whether it is for training."""
-    # Takes time to import, and only this function needs it.
-    from scipy.io.matlab import MatReadError, loadmat
-
     if not file.is_file():
         raise DatasetError(f"{file}: found no such file, expected the split of SUNRGBDtoolbox.zip")
-    try:
-        split = loadmat(file, squeeze_me=True, variable_names=HALVES)
-        halves = [(np.atleast_1d(split[key]), key == "alltrain") for key in HALVES]
-    except (
-        MatReadError,
-        NotImplementedError,  # MATLAB 7.3
-        OSError,
-        LookupError,
-        ValueError,
-        TypeError,
-        EOFError,
-        zlib.error,
-    ) as error:
-        reason = " ".join(str(error).split())
-        raise DatasetError(
-            f"{file}: found {type(error).__name__} ({reason}), "
-            "expected a MATLAB 5 file with alltrain and alltest"
-        ) from error
-    for listed, is_train in halves:
-        for name in listed.tolist():
+    halves = _load_strings(file)
+    for half in HALVES:
+        for name in halves[half]:
             # As on the authors' machine: /n/fs/.../SUNRGBD/kv1/NYUdata/NYU0001
-            parts = PurePosixPath(str(name)).parts
+            parts = PurePosixPath(name).parts
             start = next((i for i, part in enumerate(parts) if part in SENSORS), None)
             if start is None or ".." in parts:
                 raise DatasetError(
-                    f"{file}: found {str(name)!r}, expected a folder below {', '.join(SENSORS)}"
+                    f"{file}: found {name[:80]!r}, expected a folder below {', '.join(SENSORS)}"
                 )
-            yield images.joinpath(*parts[start:]), is_train
+            yield images.joinpath(*parts[start:]), half == "alltrain"
+
+
+def _load_strings(file: Path) -> dict[str, list[str]]:
+    """Return the texts of both halves, read by another process: a bad file may kill SciPy."""
+    reader = Path(__file__).with_name("mat_strings.py")
+    try:
+        done = subprocess.run(
+            [sys.executable, str(reader), str(file), *HALVES],
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=TIMEOUT_S,
+            check=True,
+        )
+        halves: dict[str, list[str]] = json.loads(done.stdout)
+    except subprocess.CalledProcessError as error:
+        lines = error.stderr.strip().splitlines()
+        found = lines[-1][:200] if lines else f"an error that ended its reader ({error.returncode})"
+    except (subprocess.TimeoutExpired, OSError, ValueError) as error:
+        found = f"{type(error).__name__}"
+    else:
+        return halves
+    raise DatasetError(
+        f"{file}: found {found}, expected a MATLAB 5 file with {' and '.join(HALVES)}"
+    )
 
 
 def _read_scene(file: Path) -> str:

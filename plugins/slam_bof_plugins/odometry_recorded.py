@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from slam_bof.core import open_npy
 from slam_bof.errors import DatasetError, PluginError
 from slam_bof.geometry import read_kitti, read_tum, se3
 from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
@@ -205,8 +206,8 @@ def _text_format(file: Path) -> Literal["tum", "kitti"]:
 def _read_npy(file: Path) -> tuple[Trajectory, bool]:
     """Read (N, 8) rows as TUM has them, or poses (N, 4, 4), (N, 3, 4) or (N, 12)."""
     try:
-        found = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        found = open_npy(file)
+    except (OSError, ValueError) as error:
         reason = " ".join(str(getattr(error, "strerror", None) or error).split())
         raise DatasetError(f"{file}: cannot be read ({reason}), expected a NumPy array") from None
     shape = np.shape(found)

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.types import Array
+from slam_bof.types import MAX_PIXELS, Array
 
 __all__ = ["SensFile", "is_sens", "open_sens"]
 
 VERSION = 4
 LONGEST_NAME = 1024
+MAX_UNITS_PER_M = 1e6
 FIXED = struct.Struct("<64f2i4IfQ")
 FRAME = struct.Struct("<16f4Q")
 COLOR_CODINGS = {-1: "unknown", 0: "raw", 1: "png", 2: "jpeg"}
@@ -134,10 +135,10 @@ def _index(path: Path, file: BinaryIO, size: int) -> SensFile:
         raise DatasetError(
             f"{path}: found depth coded as {found}, expected zlib_ushort or raw_ushort"
         )
-    if not (dw and dh and units_per_m > 0.0):
+    if not (0 < dw * dh <= MAX_PIXELS and 1.0 <= units_per_m <= MAX_UNITS_PER_M):
         raise DatasetError(
             f"{path}: found depth of {dw}x{dh} pixels and {units_per_m} units a metre, "
-            "expected positive numbers"
+            f"expected at most {MAX_PIXELS} pixels and 1 to {MAX_UNITS_PER_M:g} units"
         )
     # Checked before anything is reserved for them: the number may be nonsense.
     if n_frames * FRAME.size > size:

@@ -140,6 +140,15 @@ class ConstellationIndex:
         self._rows.truncate(int(self._starts.rows[-1]))
         self._totals.truncate(len(self) - 1)
 
+    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+        """Keep only the views where ``is_kept`` (V,) is true, and renumber them 0, 1, 2 ..."""
+        counts = np.diff(self._starts.rows)
+        self._rows.keep(np.repeat(is_kept, counts))
+        self._totals.keep(is_kept)
+        self._postings.keep(is_kept)
+        self._starts.truncate(1)
+        self._starts.extend(np.cumsum(counts[is_kept]))
+
     def bofs(self, view_id: int) -> PlacedBofs:
         """Return the contours of a view, as they are kept."""
         return unpack_constellation(

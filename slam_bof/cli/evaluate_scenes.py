@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from slam_bof.cli.evaluate_groups import GroupOptions, cross_validate, score_model
-from slam_bof.cli.options import CAMERA, COPIES, EVERY, JSON, N_WORDS, QUIET, SEED
+from slam_bof.cli.options import CAMERA, COPIES, EVERY, JSON, N_WORDS, QUIET, SEED, finite
 from slam_bof.cli.scene_results import print_results, result_figures
 from slam_bof.errors import ConfigError
 
@@ -71,6 +71,7 @@ def scenes(
         typer.Option(
             min=0.01,
             max=1.0,
+            callback=finite,
             help="For groups: share of the rooms of training that is used, for a learning curve.",
         ),
     ] = 1.0,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slam_bof.cli.inputs import map_file
-from slam_bof.cli.options import COMPONENT, JSON, MAP
+from slam_bof.cli.options import COMPONENT, JSON, MAP, finite
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -53,20 +53,32 @@ def export(
     ] = False,
     voxel: Annotated[
         float,
-        typer.Option(min=0.001, metavar="M", help="For ply: one point per voxel of this side."),
+        typer.Option(
+            min=0.001,
+            callback=finite,
+            metavar="M",
+            help="For ply: one point per voxel of this side.",
+        ),
     ] = 0.02,
     z_up: Annotated[
         bool,
         typer.Option("--z-up", help="For ply: in the frame of the occupancy grid, z up, floor 0."),
     ] = False,
     resolution: Annotated[
-        float, typer.Option(min=0.005, metavar="M", help="For occupancy: side of a grid cell.")
+        float,
+        typer.Option(
+            min=0.005, callback=finite, metavar="M", help="For occupancy: side of a grid cell."
+        ),
     ] = 0.05,
     min_height: Annotated[
-        float, typer.Option(metavar="M", help="For occupancy: lower points are floor.")
+        float,
+        typer.Option(callback=finite, metavar="M", help="For occupancy: lower points are floor."),
     ] = 0.1,
     max_height: Annotated[
-        float, typer.Option(metavar="M", help="For occupancy: higher points are no obstacles.")
+        float,
+        typer.Option(
+            callback=finite, metavar="M", help="For occupancy: higher points are no obstacles."
+        ),
     ] = 2.0,
     as_json: JSON = False,
 ) -> None:

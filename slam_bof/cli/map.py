@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from slam_bof.cli.inputs import map_file
-from slam_bof.cli.options import JSON, MAP
+from slam_bof.cli.options import JSON, MAP, finite
 from slam_bof.errors import ConfigError, MapError
 
 __all__ = ["app"]
@@ -114,11 +114,15 @@ def prune(
     map_: MAP,
     distance: Annotated[
         float,
-        typer.Option(min=0.0, metavar="M", help="Drop keyframes this close to an older one"),
+        typer.Option(
+            min=0.0, callback=finite, metavar="M", help="Drop keyframes this close to an older one"
+        ),
     ] = 0.2,
     angle: Annotated[
         float,
-        typer.Option(min=0.0, metavar="RAD", help="and rotated from it by less than this."),
+        typer.Option(
+            min=0.0, callback=finite, metavar="RAD", help="and rotated from it by less than this."
+        ),
     ] = 0.2,
     session: Annotated[
         int | None, typer.Option(min=0, help="Drop the keyframes of this session instead.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,10 +30,19 @@ __all__ = [
     "SET",
     "Format",
     "NumbersCommand",
+    "finite",
     "parse_numbers",
 ]
 
 Format = Literal["table", "json", "csv"]
+
+
+def finite(value: float | None) -> float | None:
+    """Return the value of an option; a usage error if it is NaN or infinite."""
+    if value is not None and not math.isfinite(value):
+        raise typer.BadParameter(f"{value} is not a finite number.")
+    return value
+
 
 JSON = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
@@ -56,8 +66,12 @@ COMPONENT = Annotated[
         min=0, help="Only this component of the pose graph; by default the largest where needed."
     ),
 ]
-SEED = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-N_WORDS = Annotated[int, typer.Option("--words", min=2, help="Words in each vocabulary.")]
+SEED = Annotated[
+    int, typer.Option(min=0, max=2**32 - 1, help="Seed of everything random, below 2^32.")
+]
+N_WORDS = Annotated[
+    int, typer.Option("--words", min=2, max=1_000_000, help="Words in each vocabulary.")
+]
 CAMERA = Annotated[
     Path | None,
     typer.Option(
@@ -87,6 +101,7 @@ DEPTH_SCALE = Annotated[
     float | None,
     typer.Option(
         min=1.0,
+        callback=finite,
         help="For an IMAGE: depth units per metre. By default those of the map, or 1000 (mm).",
     ),
 ]

@@ -20,6 +20,7 @@ from slam_bof.cli.options import (
     MAP,
     Format,
     NumbersCommand,
+    finite,
     parse_numbers,
 )
 from slam_bof.cli.tables import show_rows
@@ -100,7 +101,8 @@ app = typer.Typer(
 
 SCENE = Annotated[str | None, typer.Option(help="Only what has this label.")]
 MIN_PROBABILITY = Annotated[
-    float, typer.Option(min=0.0, max=1.0, help="Only labels at least this probable.")
+    float,
+    typer.Option(min=0.0, max=1.0, callback=finite, help="Only labels at least this probable."),
 ]
 LIMIT = Annotated[int | None, typer.Option(min=1, help="Print at most this many.")]
 KEYFRAME = Annotated[int | None, typer.Option(min=0, help="Only this keyframe.")]
@@ -111,7 +113,8 @@ def keyframes(
     map_: MAP,
     keyframe: KEYFRAME = None,
     time: Annotated[
-        float | None, typer.Option(metavar="S", help="Order by time difference to S.")
+        float | None,
+        typer.Option(callback=finite, metavar="S", help="Order by time difference to S."),
     ] = None,
     near: Annotated[
         str | None,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from slam_bof.cli.options import JSON, QUIET
+from slam_bof.cli.options import JSON, QUIET, finite
 
 __all__ = ["record"]
 
@@ -17,7 +17,7 @@ def record(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new folder to record to.")],
     duration: Annotated[
         float | None,
-        typer.Option(min=0, help="Seconds to record; by default until Ctrl-C."),
+        typer.Option(min=0, callback=finite, help="Seconds to record; by default until Ctrl-C."),
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="Stop after this many frames.")] = None,
     color: Annotated[bool, typer.Option("--color", help="Record colour as well as depth.")] = False,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,8 +16,7 @@ from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
-    from slam_bof.cli.console import FrameBar
-    from slam_bof.ports import Dataset
+    from slam_bof.ports import Dataset, Observer
     from slam_bof.run import RunResult
     from slam_bof.slam import Config
 
@@ -63,7 +62,10 @@ def run(
         ),
     ] = None,
     model: Annotated[str | None, typer.Option(help="Model file, default or synthetic.")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of everything random.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, max=2**32 - 1, help="Seed of everything random, below 2^32."),
+    ] = None,
     frames: FRAMES = None,
     max_frames: MAX_FRAMES = None,
     map_: Annotated[
@@ -87,6 +89,13 @@ def run(
     z_up: Annotated[
         bool, typer.Option("--z-up", help="Write map.ply in a frame with z up, 0 on the floor.")
     ] = False,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            metavar="live|FILE.rrd",
+            help="Show the run in the viewer of rerun as it goes on, or record it for that.",
+        ),
+    ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
@@ -116,6 +125,7 @@ def run(
             max_frames=max_frames,
             with_color=color,
             z_up=z_up,
+            view=view,
             quiet=quiet,
             as_json=as_json,
         )
@@ -135,6 +145,7 @@ def run(
         map_=None if map_ is None else map_file(map_),
         with_color=color,
         z_up=z_up,
+        view=view,
         quiet=quiet,
         as_json=as_json,
     )
@@ -150,6 +161,7 @@ def run_new(
     map_: Path | None = None,
     with_color: bool = False,
     z_up: bool = False,
+    view: str | None = None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -157,7 +169,7 @@ def run_new(
     from slam_bof.run import run_sequence
 
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
-    with _observer(sequence, dataset, frames, quiet=quiet) as observer:
+    with _observer(sequence, dataset, frames, view, quiet=quiet) as observer:
         result = run_sequence(
             dataset,
             config,
@@ -182,6 +194,7 @@ def _resume(
     max_frames: int | None,
     with_color: bool,
     z_up: bool,
+    view: str | None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -205,7 +218,7 @@ def _resume(
                 "expected the sequence: slam-bof run SEQUENCE --resume FOLDER"
             )
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
-    with _observer(sequence, dataset, frames, quiet=quiet) as observer:
+    with _observer(sequence, dataset, frames, view, quiet=quiet) as observer:
         result = resume_sequence(
             dataset,
             map_,
@@ -221,14 +234,19 @@ def _resume(
 
 @contextmanager
 def _observer(
-    sequence: Path, dataset: Dataset, frames: str | None, *, quiet: bool
-) -> Iterator[FrameBar]:
+    sequence: Path, dataset: Dataset, frames: str | None, view: str | None, *, quiet: bool
+) -> Iterator[Observer]:
     """Show a run as a progress bar; if it is interrupted, print how to resume it and exit."""
     from slam_bof.cli.console import FrameBar
     from slam_bof.run import RunInterrupted
 
     try:
-        with FrameBar(dataset.sequence, quiet=quiet) as observer:
+        with ExitStack() as stack:
+            observer: Observer = stack.enter_context(FrameBar(dataset.sequence, quiet=quiet))
+            if view is not None:
+                from slam_bof.visualization import LiveView
+
+                observer = stack.enter_context(LiveView(observer, dataset, view))
             yield observer
     except RunInterrupted as interruption:
         words = ["slam-bof", "run", str(sequence), "--resume", str(interruption.folder)]

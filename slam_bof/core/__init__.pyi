@@ -15,7 +15,10 @@ from .native_libraries import (
     one_native_thread as one_native_thread,
     silenced as silenced,
 )
-from .npy import parse_npy as parse_npy
+from .npy import (
+    open_npy as open_npy,
+    parse_npy as parse_npy,
+)
 from .registry import (
     open_dataset as open_dataset,
 )

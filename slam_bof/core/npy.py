@@ -5,13 +5,14 @@ from __future__ import annotations
 import io
 import math
 import tokenize
-from typing import Any
+from pathlib import Path
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
-__all__ = ["parse_npy"]
+__all__ = ["open_npy", "parse_npy"]
 
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
 
@@ -29,14 +30,37 @@ def parse_npy(data: bytes) -> NDArray[Any]:
         If it is none, holds Python objects, or has another number of bytes than its shape says.
     """
     stream = io.BytesIO(data)
+    shape, order, dtype = _read_header(stream, len(data))
+    array = np.frombuffer(data, dtype, math.prod(shape), stream.tell() if math.prod(shape) else 0)
+    return array.reshape(shape, order=order).copy("K")
+
+
+def open_npy(path: Path) -> NDArray[Any]:
+    """Map the array of a .npy file into memory: only its header is read.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    ValueError
+        As ``parse_npy``.
+    """
+    with path.open("rb") as file:
+        shape, order, dtype = _read_header(file, path.stat().st_size)
+        if not math.prod(shape):
+            return np.empty(shape, dtype)
+        return np.memmap(file, dtype, "r", file.tell(), shape, order)
+
+
+def _read_header(stream: BinaryIO, n_bytes: int) -> tuple[tuple[int, ...], Any, np.dtype[Any]]:
+    """Return shape, order and type of the array that follows in a stream of ``n_bytes``."""
     try:
         shape, is_fortran, dtype = HEADERS[npy.read_magic(stream)](stream)
     except (ValueError, TypeError, KeyError, SyntaxError, tokenize.TokenError, RecursionError):
         raise ValueError("found no header of a .npy file") from None
     if dtype.hasobject:
         raise ValueError("found Python objects, expected an array of numbers or text")
-    found, n_items = len(data) - stream.tell(), math.prod(shape)
-    if min(shape, default=0) < 0 or found != n_items * dtype.itemsize:
+    found = n_bytes - stream.tell()
+    if min(shape, default=0) < 0 or found != math.prod(shape) * dtype.itemsize:
         raise ValueError(f"found {found} bytes, expected an array {shape} of {dtype}")
-    array = np.frombuffer(data, dtype, n_items, stream.tell()) if found else np.empty(0, dtype)
-    return array.reshape(shape, order="F" if is_fortran else "C").copy("K")
+    return shape, "F" if is_fortran else "C", dtype

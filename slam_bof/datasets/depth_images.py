@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
@@ -13,9 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import open_npy
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import checked_intrinsics
-from slam_bof.types import DepthFrame, Intrinsics
+from slam_bof.geometry import checked_depth, checked_intrinsics
+from slam_bof.types import MAX_PIXELS, DepthFrame, Intrinsics
 
 __all__ = ["CAMERA_FILE", "DepthImages", "is_image", "read_depth_image"]
 
@@ -25,6 +27,8 @@ KINECT_FOCAL_PX = 585.0
 """Focal length of the 7-Scenes depth camera, for an image 640 pixels wide."""
 CAMERA_FILE = "intrinsics.json"
 MILLIMETRES = 1000.0
+ENDLESS = (RecursionError, OverflowError)
+"""What JSON raises that is nested too deep, or has numbers too large."""
 FRAMES_PER_S = 30.0
 
 
@@ -97,12 +101,15 @@ def read_depth_image(
                 "depth_scale, the units a metre"
             )
         depth = np.where(depth == 0, 0.0, depth + np.float32(offset)).astype(np.float32)
-        return DepthFrame(stamp_s, depth / np.float32(depth_scale), camera), source
+        depth = checked_depth(path, depth / np.float32(depth_scale))
+        return DepthFrame(stamp_s, depth, camera), source
     is_float = depth.dtype.kind == "f"
     scale = depth_scale or (1.0 if is_float else MILLIMETRES)
     if is_float or scale != MILLIMETRES:
         missing = depth == np.iinfo(np.uint16).max if not is_float else ~np.isfinite(depth)
-        depth = np.where(missing, 0.0, depth / scale).astype(np.float32)
+        with np.errstate(over="ignore"):  # of float64 beyond float32: infinite, missing
+            depth = np.where(missing, 0.0, depth / scale).astype(np.float32)
+        depth = checked_depth(path, depth)
     return DepthFrame(stamp_s, depth, camera), source
 
 
@@ -154,23 +161,36 @@ def _read(path: Path) -> NDArray[Any]:
         raise DatasetError(f"{path}: found no such file, expected a depth image")
     if path.suffix.lower() == ".npy":
         try:
-            image = np.asarray(np.load(path, allow_pickle=False))
-        except (OSError, ValueError, EOFError) as error:
+            image = np.asarray(open_npy(path))
+        except (OSError, ValueError) as error:
             reason = " ".join(str(error).split())
             raise DatasetError(f"{path}: found no array ({reason}), expected depth") from error
     else:
         coded = np.fromfile(path, np.uint8)
-        read = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if len(coded) else None
+        try:
+            read = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if _is_moderate(coded) else None
+        except cv2.error:  # a header of more pixels than OpenCV takes
+            read = None
         if read is None:
             raise DatasetError(f"{path}: found no image that can be read, expected 16-bit depth")
         image = np.asarray(read)
-    if image.ndim != 2 or not (image.dtype in (np.uint8, np.uint16) or image.dtype.kind == "f"):
+    is_depth = image.dtype in (np.uint8, np.uint16) or image.dtype.kind == "f"
+    if not is_depth or image.ndim != 2 or image.size > MAX_PIXELS:
         shape = "x".join(map(str, image.shape))
         raise DatasetError(
             f"{path}: found an image {shape} of {image.dtype}, expected one channel of uint16, "
-            "or of floats in metres"
+            f"or of floats in metres, and at most {MAX_PIXELS} pixels"
         )
     return image
+
+
+def _is_moderate(coded: NDArray[np.uint8]) -> bool:
+    """Return whether there is an image of moderate size, as the header of a PNG file says."""
+    head = coded[:24].tobytes()
+    if not head.startswith(b"\x89PNG"):
+        return len(head) > 0
+    width, height = struct.unpack(">2I", head[16:].ljust(8, b"\0"))
+    return bool(0 < width * height <= MAX_PIXELS)
 
 
 def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None, float]:
@@ -184,9 +204,11 @@ def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float
         offset = float(found.get("depth_offset", 0.0))
         if scale is not None and not 0 < scale < np.inf:
             raise ValueError("depth_scale is not positive")
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+        if not np.isfinite(offset):
+            raise ValueError("depth_offset is not finite")
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, *ENDLESS) as error:
         raise DatasetError(
-            f"{file}: found {error!r}, expected JSON with width, height, fx, fy, cx, cy"
+            f"{file}: found {repr(error)[:200]}, expected JSON with width, height, fx, fy, cx, cy"
         ) from error
     if size != (width, height):
         raise DatasetError(

@@ -48,7 +48,7 @@ class SequenceSlice:
         ConfigError
             If the text has another form, or there are no such frames.
         """
-        match = re.fullmatch(r"(\d*):(\d*)", text.strip())
+        match = re.fullmatch(r"([0-9]{0,18}):([0-9]{0,18})", text.strip())
         if match is None:
             raise ConfigError(f"--frames: found {text!r}, expected A:B, such as 400:1000")
         first, last = (int(number) if number else None for number in match.groups())

@@ -88,12 +88,24 @@ class FramePoseSynchroniser:
         """Return how many frames wait for their pose."""
         return len(self._frames)
 
+    @property
+    def waiting_stamps_s(self) -> list[float]:
+        """Return the times of the frames that wait for their pose, oldest first."""
+        return [frame.stamp_s for frame in self._frames]
+
     def add_frame(self, frame: DepthFrame) -> bool:
         """Add a frame, in any order; return whether it was accepted.
 
         One that is not newer than those given out already is dropped; one that there is no room
         for is refused, and still yours.
+
+        Raises
+        ------
+        ValueError
+            If its stamp is not finite.
         """
+        if not np.isfinite(frame.stamp_s):
+            raise ValueError(f"a frame's stamp must be finite, got {frame.stamp_s}")
         if self.is_full:
             return False
         stamps_s = [waiting.stamp_s for waiting in self._frames]

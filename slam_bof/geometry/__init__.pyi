@@ -2,6 +2,7 @@ from . import se3 as se3, trajectory as trajectory
 from .camera import (
     PointParams as PointParams,
     back_project as back_project,
+    checked_depth as checked_depth,
     checked_intrinsics as checked_intrinsics,
     points_camera as points_camera,
     points_camera_f32 as points_camera_f32,

@@ -15,12 +15,16 @@ from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 __all__ = [
     "PointParams",
     "back_project",
+    "checked_depth",
     "checked_intrinsics",
     "points_camera",
     "points_camera_f32",
     "project",
     "ray_slopes",
 ]
+
+MAX_DEPTH_M = 1000.0
+"""Depth beyond this is a value that means something else; the range of a sensor ends far before."""
 
 
 class PointParams(Params):
@@ -38,6 +42,26 @@ class PointParams(Params):
                 f"{self.max_range_m}"
             )
         return self
+
+
+def checked_depth(where: Path | str, depth_m: NDArray[Any]) -> NDArray[Any]:
+    """Return a depth image that a file gives in metres, with 0 where it is farther than 1 km.
+
+    Raises
+    ------
+    DatasetError
+        If it is nowhere nearer, but is not empty: its unit is another, or it is no depth.
+    """
+    is_known = np.isfinite(depth_m) & (depth_m > 0.0)
+    is_far = is_known & (depth_m > MAX_DEPTH_M)
+    if is_far.any():
+        if is_far.sum() == is_known.sum():
+            raise DatasetError(
+                f"{where}: found depths from {depth_m[is_far].min():g} m, expected some within "
+                f"{MAX_DEPTH_M:g} m: is the unit right?"
+            )
+        depth_m = np.where(is_far, np.float32(0.0), depth_m)
+    return depth_m
 
 
 def checked_intrinsics(

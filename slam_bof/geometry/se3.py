@@ -34,6 +34,8 @@ TOLERANCE = 1e-2
 numbers with few digits."""
 LAST_ROW: Array = np.array([0.0, 0.0, 0.0, 1.0])
 LAST_ROW_TOLERANCE = 1e-6
+MAX_POSITION_M = 1e8
+"""Largest coordinate of a position given by the user; geocentric ones have 6.4e6 m."""
 
 
 def check_rigid(T: Array) -> None:
@@ -56,6 +58,8 @@ expected an orthonormal one of determinant 1
     if len(T) == 4 and np.abs(T[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
         last_row = " ".join(f"{number:g}" for number in T[3])
         raise ValueError(f"found a last row {last_row}, expected 0 0 0 1")
+    if (farthest_m := float(np.abs(T[:3, 3]).max())) > MAX_POSITION_M:
+        raise ValueError(f"found a position at {farthest_m:g} m, expected metres")
     R = T[:3, :3]
     off = float(np.abs(R.T @ R - np.eye(3)).max())
     determinant = float(np.linalg.det(R))

@@ -63,6 +63,9 @@ def read_tum(path: Path) -> Trajectory:
             problems.append(f"{where}: found NaN or infinity, expected 8 finite numbers")
         elif abs(norm - 1.0) > TOLERANCE:
             problems.append(f"{where}: found a quaternion of norm {norm:.6g}, expected 1")
+        elif np.abs(row[1:4]).max() > se3.MAX_POSITION_M:
+            problems.append(f"{where}: found a position at {row[1:4]} m, expected metres")
+            row[1:4] = np.nan
         elif rows and row[0] <= rows[-1][0]:
             problems.append(
                 f"{where}: found stamp {float(row[0])} s after {float(rows[-1][0])} s, "

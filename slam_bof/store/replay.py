@@ -59,11 +59,13 @@ def replay_keyframes(
             keyframe.id,
             -1 if reopened_session is None else reopened_session,
         )
+        culled = store.rows("culled", "WHERE culled_by = ? ORDER BY keyframe_id", keyframe.id)
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
             keyframe=replace(
                 keyframe,
                 T_odom_camera=poses[-1].T_odom_camera,
+                T_odom_raw=poses[-1].T_odom_raw,
                 step_covariance=poses[-1].step_covariance,
             ),
             depth=store.depth_of(views[0]),
@@ -71,5 +73,6 @@ def replay_keyframes(
             candidates=tuple(map(decode_candidate, own)),
             measured=tuple(decode_loop(row) for row in own if row["information"] is not None),
             admitted=tuple(map(decode_loop, admitted)),
+            culled=tuple((row["keyframe_id"], row["anchor_id"]) for row in culled),
             state=states[keyframe.session],
         )

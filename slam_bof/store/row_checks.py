@@ -30,8 +30,6 @@ POSE_BYTES, MATRIX_BYTES = POSE.size, 36 * 8
 """Sizes of a pose (3, 4), and of an information or covariance matrix (6, 6)."""
 MAX_NUMBER = 1e18
 """Largest number in a row; times may be in any unit."""
-MAX_POSITION_M = 1e8
-"""Largest coordinate of a position; geocentric ones have 6.4e6 m."""
 MAX_TEXT = 1_000_000
 """Characters of a text; a configuration has some 10,000."""
 SUM_TOLERANCE = 1e-3
@@ -147,6 +145,10 @@ def _check_candidate(row: Row) -> None:
     _expect((row["loop_id"] is None) == (row["admitted_by"] is None), "admitted_by")
 
 
+def _check_culled(row: Row) -> None:
+    _expect(0 <= row["anchor_id"] < row["keyframe_id"] < row["culled_by"], "anchor_id")
+
+
 def _check_region(row: Row) -> None:
     _check_probability(row, "probability")
     _expect(min(row["id"], row["n_keyframes"]) >= 0, "n_keyframes")
@@ -183,6 +185,7 @@ CHECKS: dict[str, Callable[[Row], None]] = {
     "views": _check_view,
     "frames": _check_frame,
     "candidates": _check_candidate,
+    "culled": _check_culled,
     "regions": _check_region,
     "parameters": _check_parameter,
 }
@@ -211,7 +214,7 @@ def _is_given(row: Row, names: Sequence[str]) -> bool:
 
 def _check_pose(row: Row, prefix: str) -> None:
     tx, ty, tz, qx, qy, qz, qw = (row[prefix + name] for name in POSE_COLUMNS)
-    _expect(max(abs(tx), abs(ty), abs(tz)) < MAX_POSITION_M, f"{prefix}tx")
+    _expect(max(abs(tx), abs(ty), abs(tz)) < se3.MAX_POSITION_M, f"{prefix}tx")
     square = qx * qx + qy * qy + qz * qz + qw * qw
     _expect(abs(square - 1.0) < SUM_TOLERANCE, f"{prefix}qx")
 
@@ -229,7 +232,7 @@ def _is_rigid(  # in plain Python: NumPy takes ten times as long for nine number
     return (
         lengths + products < 6 * se3.TOLERANCE
         and determinant > 0.0
-        and abs(x) + abs(y) + abs(z) < MAX_POSITION_M
+        and abs(x) + abs(y) + abs(z) < se3.MAX_POSITION_M
     )
 
 

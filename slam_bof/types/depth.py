@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -15,13 +14,22 @@ from pydantic import Field, model_validator
 
 from slam_bof.types.parameters import Params
 
-__all__ = ["INVALID_DEPTH_MM", "DepthFrame", "Intrinsics", "SensorParams", "SubsampledDepth"]
+__all__ = [
+    "INVALID_DEPTH_MM",
+    "MAX_PIXELS",
+    "DepthFrame",
+    "Intrinsics",
+    "SensorParams",
+    "SubsampledDepth",
+]
 
 INVALID_DEPTH_MM = 65535
 """Value of a pixel without depth in 7-Scenes files; 0 has the same meaning."""
 
 MIN_FOCAL = 0.05
 """Smallest plausible focal length, as a share of the image's size along the same axis."""
+MAX_FOCAL = 100.0
+"""Largest plausible focal length, likewise: a field of view of 0.6 degrees."""
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
 MAX_PIXELS = 1 << 24
@@ -67,9 +75,9 @@ class Intrinsics:
     ------
     ValueError
         If the numbers cannot be of a camera with such images: the image has more than 16.8 million
-        pixels, a focal length is not positive or
-        below 5 % of the image's size (a field of view of more than 168 degrees), or the principal
-        point lies outside the image or in the 5 % along its edges.
+        pixels, a focal length is not positive, below 5 % of the image's size (a field of view of
+        more than 168 degrees) or above 100 times of it, or the principal point lies outside the
+        image or in the 5 % along its edges.
     """
 
     width: int
@@ -98,10 +106,10 @@ class Intrinsics:
         ):
             where = f"for an image of {self.width}x{self.height} pixels"
             low, high = MIN_FOCAL * size, MAX_CENTER * size
-            if not low <= focal < math.inf:
+            if not low <= focal <= MAX_FOCAL * size:
                 raise ValueError(
                     f"found a focal length f{axis} of {focal:g} px {where}, "
-                    f"expected at least {low:g} px"
+                    f"expected at least {low:g} px, at most {MAX_FOCAL * size:g} px"
                 )
             if not size - high <= center + 0.5 <= high:
                 raise ValueError(

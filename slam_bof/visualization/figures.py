@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from slam_bof.types import Array, Candidate, Scene
@@ -17,6 +18,7 @@ __all__ = [
     "apply_style",
     "draw_candidates",
     "draw_errors",
+    "draw_health",
     "draw_labels",
     "draw_reasons",
     "draw_stages",
@@ -219,6 +221,27 @@ def draw_labels(
         type="category", categoryorder="array", categoryarray=sorted(labels, reverse=True)
     )
     return figure.update_layout(height=140 + 44 * max(2, len(labels)))
+
+
+def draw_health(times_s: Array, n_open: Array, is_lost: NDArray[np.bool_]) -> Figure:
+    """Draw the number of directions that the surfaces in sight leave open, and lost frames."""
+    figure = _figure("time (s)", "open directions")
+    figure.add_scatter(
+        x=times_s,
+        y=np.where(is_lost, np.nan, n_open),
+        mode="lines",
+        name="of 6, by frame",
+        line={"color": COLORS["odometry"], "width": 1.5, "shape": "hv"},
+    )
+    figure.add_scatter(
+        x=times_s[is_lost],
+        y=np.zeros(int(is_lost.sum())),
+        mode="markers",
+        name=f"lost ({int(is_lost.sum())})",
+        marker={"color": COLORS["bad"], "size": 6, "symbol": "square"},
+    )
+    figure.update_yaxes(range=[-0.2, 6.2], dtick=1)
+    return figure.update_layout(height=240)
 
 
 def draw_stages(stage_ms: Mapping[str, float]) -> Figure:

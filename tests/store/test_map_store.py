@@ -19,7 +19,8 @@ from saved_maps import (
 
 from slam_bof.geometry import se3
 from slam_bof.scenes import MapRoom
-from slam_bof.store import MapStore, Session, SessionResult, replay_keyframes
+from slam_bof.store import MapStore, Session, SessionResult, check_map, replay_keyframes
+from slam_bof.store.pruning import drop_keyframes
 from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
 
@@ -285,3 +286,22 @@ def test_a_loop_that_is_left_out_is_rejected_with_the_reason(path: Path) -> None
             ("accepted", ""),
             ("rejected", "contradicts the others"),
         ]
+
+
+def test_culled_keyframes_come_back_with_the_keyframe_that_they_were_culled_by(
+    path: Path,
+) -> None:
+    with MapStore.create(path) as store:
+        for id_ in range(5):
+            save(store, make_keyframe(id_))
+        store.write(replace(make_record(make_keyframe(5)), culled=((2, 0), (3, 1))))
+        assert store.anchors().tolist() == [0, 1, 0, 1, 4, 5]
+    with MapStore.open(path) as store:
+        culled = [record.culled for record in replay_keyframes(store)]
+    assert culled == [(), (), (), (), (), ((2, 0), (3, 1))]
+    assert check_map(path) == []
+    with MapStore.open(path, read_only=False) as store:
+        with store.transaction() as db:
+            drop_keyframes(db, {1, 4})  # the anchor of 3 goes, so that it is in use again
+        assert store.anchors().tolist() == [0, 0, 2, 3]
+    assert check_map(path) == []
