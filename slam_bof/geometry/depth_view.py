@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.geometry.camera import PointParams, points_camera_f32, ray_slopes
+from slam_bof.geometry.camera import MAX_DEPTH_M, PointParams, points_camera_f32, ray_slopes
 from slam_bof.types import DepthFrame, Intrinsics, SensorParams, SubsampledDepth
 
 __all__ = [
@@ -73,7 +73,7 @@ def view_points(frame: DepthFrame) -> NDArray[np.float32]:
 def _view_points(frame: DepthFrame) -> NDArray[np.float32]:
     stride = view_stride(frame.intrinsics)
     points = points_camera_f32(
-        frame, PointParams(stride=stride, min_range_m=0.0, max_range_m=np.inf)
+        frame, PointParams(stride=stride, min_range_m=0.0, max_range_m=MAX_DEPTH_M)
     )
     points.setflags(write=False)
     return points
