@@ -126,8 +126,10 @@ class Descriptor(Protocol):
     is_binary: ClassVar[bool]
     """Whether descriptors are strings of bits, packed in bytes."""
     comparison: ClassVar[str]
-    """How frames are compared. ``bag`` is a bag of words for local features. For one row per frame
-    it is ``cosine``, ``l1`` (mean absolute difference) or ``equal`` (share of equal values)."""
+    """How frames are compared. ``bag`` is a bag of words for local features, ``hamming`` the share
+    of bits that local binary codes have in common with the nearest of the other frame. For one row
+    per frame it is ``cosine``, ``l1`` (mean absolute difference) or ``equal`` (share of equal
+    values)."""
 
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[Any]:
         """Return descriptors (M, D), or (M, D / 8) uint8 if binary; M = 0 if there are none."""

@@ -6,6 +6,7 @@ import os
 import runpy
 import sys
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from hypothesis import settings
 from numpy.typing import NDArray
 from web_server import Server, serving
 
+from slam_bof.geometry import se3
 from slam_bof.synthetic import KINECT, Scene3D, distance_to_boxes, make_room, sense
 from slam_bof.synthetic.rooms import Room
 from slam_bof.synthetic.writer import write_sequence
@@ -128,3 +130,17 @@ def load_script():
     sys.path.insert(0, str(scripts))
     yield lambda name: runpy.run_path(str(scripts / name))
     sys.path.remove(str(scripts))
+
+
+@pytest.fixture(scope="session")
+def walk(look, standpoint):
+    """Two looks about on the spot, (frame, T_odom_camera) each, so that there are loops."""
+    yaws = np.tile(np.arange(0.0, 2.0, 0.1), 2)
+    poses = np.tile(np.eye(4), (len(yaws), 1, 1))
+    for pose, yaw in zip(poses, yaws, strict=True):
+        c, s = np.cos(yaw), np.sin(yaw)
+        pose[:3] = [[s, 0, c, standpoint[0]], [-c, 0, s, standpoint[1]], [0, -1, 0, 1.3]]
+    return [
+        (replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 20)), se3.inverse(poses[0]) @ T)
+        for k, T in enumerate(poses)
+    ]

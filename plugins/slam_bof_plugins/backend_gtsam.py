@@ -7,6 +7,7 @@ interpreter; one iSAM2 update after a loop has not converged.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.cluster.hierarchy import DisjointSet
 
+from slam_bof.core import Checkpoint
 from slam_bof.geometry import GraphEdge, loop_information, se3, step_sigmas, write_g2o
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_selection import (
@@ -213,6 +215,23 @@ class GtsamBackend:
             for edge, noise in self._kept()
         ]
         write_g2o(path, enumerate(self.poses()), edges)
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the present graph, with iSAM2 afresh from there."""
+        before = Checkpoint()
+        before.save(vars(self))
+        odometry, estimate = (
+            gtsam.NonlinearFactorGraph(self._odometry),
+            gtsam.Values(self._estimate),
+        )
+
+        def restore() -> None:
+            before.restore()
+            self._odometry = gtsam.NonlinearFactorGraph(odometry)
+            self._estimate = gtsam.Values(estimate)
+            self._start_afresh(gtsam.ISAM2Params())
+
+        return restore
 
     def _step_noise(self, keyframe: Keyframe) -> gtsam.noiseModel.Gaussian:
         """Return the noise of the step to a keyframe: its own covariance, or the usual one."""

@@ -11,7 +11,13 @@ from pydantic import Field
 from slam_bof.bof import BofParams, PlaceParams, descriptors, layer_rows
 from slam_bof.types import DepthFrame
 
-__all__ = ["BofDescriptor", "LayerBofDescriptor", "LayerBofParams"]
+__all__ = [
+    "BofDescriptor",
+    "BofFernDescriptor",
+    "BofFernParams",
+    "LayerBofDescriptor",
+    "LayerBofParams",
+]
 
 
 class BofDescriptor:
@@ -28,6 +34,33 @@ class BofDescriptor:
     def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.float32]:
         """Return the BOF descriptors, (C, n_values)."""
         return descriptors(frame, self._params)
+
+
+class BofFernParams(PlaceParams):
+    """Parameters like those of ``bof``, and the seed of the thresholds."""
+
+    seed: int = Field(0, ge=0, description="Seed of the thresholds.")
+
+
+class BofFernDescriptor:
+    """A binary code for each BOF: which of its radii exceed a threshold of their own.
+
+    The paper proposes it (section 4.5), after the ferns of Glocker et al.: the thresholds, one for
+    each of the 180 radii, are drawn uniformly.
+    """
+
+    Params = BofFernParams
+    needs_gray: ClassVar[bool] = False
+    is_binary: ClassVar[bool] = True
+    comparison: ClassVar[str] = "hamming"
+
+    def __init__(self, params: BofFernParams) -> None:
+        self._params = params
+        self._thresholds = np.random.default_rng(params.seed).uniform(size=params.bof.n_values)
+
+    def describe(self, frame: DepthFrame, gray: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+        """Return the codes, (C, n_values / 8) packed bits."""
+        return np.packbits(descriptors(frame, self._params) > self._thresholds, axis=1)
 
 
 class LayerBofParams(PlaceParams):

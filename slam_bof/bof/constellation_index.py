@@ -45,9 +45,15 @@ class IndexParams(Params):
     """How many views are compared contour by contour, and how."""
 
     n_compared: int = Field(
-        100,
+        50,
         gt=0,
         description="Number of views with most votes that are matched contour by contour.",
+    )
+    max_votes: int = Field(
+        200_000,
+        gt=0,
+        description="Largest number of votes that are counted for a query; in a large map, its "
+        "contours of the most common shapes do not vote.",
     )
     matching: MatchingParams = MatchingParams()
 
@@ -62,6 +68,12 @@ class Found:
     view_ids: NDArray[np.intp]
     scores: NDArray[np.float32]
     motions: Motions
+
+    def without_motion(self) -> Found:
+        """Return the same views as if their contours said nothing."""
+        motions: tuple[NDArray[Any], ...] = self.motions
+        none = Motions(*(np.zeros_like(column) for column in motions))
+        return Found(self.view_ids, np.zeros_like(self.scores), none)
 
     def first(self, n: int) -> Found:
         """Return the best ``n``."""
@@ -141,10 +153,16 @@ class ConstellationIndex:
         """Return the up to ``n`` views (m,) that have most votes for one motion, best first."""
         voters = MotionVotes(query)
         contours, low, high = _ranges(query)
+        lists = self._postings.lists()
+        begins = [np.searchsorted(postings.keys, low) for postings in lists]
+        ends = [np.searchsorted(postings.keys, high) for postings in lists]
+        n_found = np.sum(ends, axis=0) - np.sum(begins, axis=0) if lists else np.zeros(len(low))
+        kept = self._telling(contours, n_found, len(query.slices))
+        contours = contours[kept]
         cells = [np.empty(0, np.int64)]
-        for postings in self._postings.lists():
-            begin = np.searchsorted(postings.keys, low)
-            counts = np.searchsorted(postings.keys, high) - begin
+        for postings, first, last in zip(lists, begins, ends, strict=True):
+            begin = first[kept]
+            counts = last[kept] - begin
             asking = np.repeat(contours, counts)
             rows = np.arange(len(asking)) + np.repeat(begin - (np.cumsum(counts) - counts), counts)
             cells.append(voters.cells(asking, rows, postings))
@@ -154,6 +172,16 @@ class ConstellationIndex:
             worth = np.where(allowed, worth, 0.0)
         views, votes = count_votes(np.concatenate(cells), worth.astype(np.float32), n)
         return views[votes > 0]
+
+    def _telling(
+        self, contours: NDArray[np.intp], n_found: NDArray[Any], n_contours: int
+    ) -> NDArray[np.bool_]:
+        """Return which ranges (R,) are looked up: those of the contours with the rarest shapes."""
+        of_contours = np.bincount(contours, n_found, n_contours)
+        order = np.argsort(of_contours, kind="stable")
+        asked = np.zeros(n_contours, np.bool_)
+        asked[order[np.cumsum(of_contours[order]) <= self.params.max_votes]] = True
+        return np.asarray(asked[contours])
 
     def compare(self, query: PlacedBofs, views: NDArray[np.intp]) -> Found:
         """Rank views (n,) by consensus of all their contours."""
@@ -188,7 +216,7 @@ def _first_key(slices: NDArray[np.integer[Any]], shape: NDArray[np.int64]) -> ND
 
 def _ranges(
     query: PlacedBofs,
-) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
+) -> tuple[NDArray[np.intp], NDArray[np.int32], NDArray[np.int32]]:
     """Return contours (R,) and ranges of keys (R,), (R,) to look each up in.
 
     Along each axis of its shape these are the two cells that are nearest.
@@ -203,4 +231,6 @@ def _ranges(
     level = np.rint(query.means * (MEAN_LEVELS - 1)).astype(np.int64)
     low = np.maximum(level - MEAN_REACH, 0)
     high = np.minimum(level + MEAN_REACH + 1, MEAN_LEVELS)
-    return contours, first + low[contours], first + high[contours]
+    # Of the type of the keys, which would be converted otherwise.
+    low, high = (first + level[contours] for level in (low, high))
+    return contours, low.astype(np.int32), high.astype(np.int32)

@@ -102,9 +102,10 @@ def count_votes(
         (V,) what a vote for each view counts.
     """
     cells = np.sort(cells)
-    starts = np.flatnonzero(np.diff(cells, prepend=-1))
-    counts = np.diff(starts, append=len(cells))
     # What stands alone agrees with nothing.
+    ends = np.flatnonzero(np.append(cells[1:] != cells[:-1], True)) + 1
+    starts = np.append(0, ends)[: len(ends)]
+    counts = ends - starts
     several = np.flatnonzero(counts > 1)
     cells, counts = cells[starts[several]], counts[several].astype(np.float32)
     counts *= worth[cells >> MOTION_BITS]

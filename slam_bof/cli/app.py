@@ -24,6 +24,7 @@ from slam_bof.cli.query import app as query
 from slam_bof.cli.record import record
 from slam_bof.cli.report import report
 from slam_bof.cli.run import INTERRUPTED, run
+from slam_bof.cli.show import show
 from slam_bof.cli.train import train
 from slam_bof.cli.version import print_version, version
 from slam_bof.errors import SlamBofError
@@ -97,10 +98,10 @@ class ShowWarnings(logging.Handler):
 
 
 for command in (
-    *(demo, run, localize, report, export, train),
+    *(demo, run, localize, show, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
-    app.command(cls=NumbersCommand if command is localize else None)(command)
+    app.command(cls=NumbersCommand if command in (localize, show) else None)(command)
 app.add_typer(query, name="query")
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(map_tools, name="map")

@@ -91,7 +91,8 @@ def scenes(
         typer.Option(
             help="For groups: profile, words, tokens, profile+tokens, bag:linear, bag:rbf or ours. "
             "Else methods, separated by commas: ours, descriptor plug-ins, A+B for two joined, "
-            "A:mlp for another classifier than an RBF SVM (see train --classifier)."
+            "A:mlp for another classifier than an RBF SVM (see train --classifier), A:grid for an "
+            "SVM found by grid search."
         ),
     ] = None,
     every: EVERY = 1,

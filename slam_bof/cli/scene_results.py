@@ -45,6 +45,9 @@ def print_results(
             for k, c in enumerate(results[0].scores.by_class)
         ]
         print_table(("class", "tested", *names), by_class, title="Recall by class")
+    for r in results:
+        if r.svm_params is not None:
+            typer.echo(f"{r.method}: {r.svm_params}.")
     for name, why in left_out.items():
         typer.echo(f"{name} is left out: {why}.")
     for file in files[:1]:
@@ -64,6 +67,7 @@ def result_figures(result: SceneResult) -> dict[str, Any]:
         "label_ms": result.label_ms,
         "train_s": result.train_s,
         "n_bytes": result.n_bytes,
+        "grid_search": asdict(result.svm_params) if result.svm_params else None,
         "by_class": [asdict(of_class) for of_class in scores.by_class],
         "auc": {curve.label: curve.auc for curve in curves},
         "confusion": scores.confusion.tolist(),

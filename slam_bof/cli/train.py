@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
 __all__ = ["train"]
 
+Rounding = Literal["floor", "nearest"]
 Classifier = Literal["svm-linear", "svm-rbf", "random-forest", "naive-bayes", "knn", "mlp"]
 
 
@@ -37,6 +38,14 @@ def train(
             "level, y down), one depth image a row; some rooms are then kept to test with."
         ),
     ] = None,
+    unlabelled: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="PATH",
+            help="Learn words and idf alone, without labels, on a sequence, a folder of sequences "
+            "or one of depth images, as the paper does for loops. May be given several times.",
+        ),
+    ] = None,
     camera: CAMERA = None,
     copies: COPIES = 3,
     descriptor: Annotated[
@@ -50,6 +59,13 @@ def train(
     layers: Annotated[
         int | None, typer.Option(min=1, help="Layers of a frame's point cloud; by default 20.")
     ] = None,
+    rounding: Annotated[
+        Rounding,
+        typer.Option(
+            help="How points get their layer: floor makes layers of one thickness; nearest, the "
+            "paper's, one more, of which the first and the last are half as thick."
+        ),
+    ] = "floor",
     n_words: N_WORDS = 1024,
     classifier: Annotated[
         Classifier | None,
@@ -97,31 +113,44 @@ def train(
         raise ConfigError(
             f"--grid-search: found with --classifier {classifier}, expected one of the two"
         )
-    if not label and csv is None:
-        raise ConfigError("found neither --label nor --csv, expected --label NAME=PATH")
+    if unlabelled and (label or csv is not None or of_bags or descriptor == "levelled"):
+        raise ConfigError("--unlabelled: found with options for labels, expected it alone")
+    if not label and csv is None and not unlabelled:
+        raise ConfigError(
+            "found neither --label nor --csv, expected --label NAME=PATH, or --unlabelled PATH"
+        )
     from slam_bof.bof import LayerParams, PlaceParams
     from slam_bof.cli.console import Bars
     from slam_bof.datasets import (
         frames_of,
         has_groups,
         open_labelled,
+        open_sequences,
         parse_label,
         read_image_table,
         read_label_file,
     )
-    from slam_bof.evaluation import train_scene_model
+    from slam_bof.evaluation import TrainedSceneModel, train_scene_model, train_words
     from slam_bof.scenes import model as models
 
     _check_out(out)
+    n_layers = LayerParams().n_layers if layers is None else layers
+    params = PlaceParams(layers=LayerParams(n_layers=n_layers, rounding=rounding))
+    if unlabelled:
+        datasets = [dataset for path in unlabelled for dataset in open_sequences(path)]
+        with Bars(quiet=quiet) as bars:
+            model = train_words(
+                datasets, params, n_words=n_words, every=every, seed=seed, on_progress=bars.show
+            )
+        models.save(model, out)
+        _show(TrainedSceneModel(model), out, as_json=as_json)
+        return
     sequences = [sequence for text in label or [] for sequence in open_labelled(*parse_label(text))]
     images = []
     if csv is not None and has_groups(csv):
         images = read_image_table(csv, camera_file=camera)
     elif csv is not None:
         sequences += read_label_file(csv)
-    params = PlaceParams()
-    if layers is not None:
-        params = PlaceParams(layers=LayerParams(n_layers=layers))
     names = sorted({f"{s.dataset.sequence} ({s.label})" for s in sequences})
     names += [f"{len(images)} images of {csv.name}"] if csv is not None and images else []
     with Bars(quiet=quiet) as bars:
@@ -176,11 +205,7 @@ def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
         print_json(figures)
         return
     if svm is not None:
-        gamma = "" if svm.gamma == "scale" else f", gamma {svm.gamma:g}"
-        typer.echo(
-            f"Grid search: {svm.name}, C {svm.C:g}{gamma}; "
-            f"accuracy {svm.accuracy:.3f} in cross-validation."
-        )
+        typer.echo(f"Grid search: {svm}.")
     if scores is not None:
         print_table(
             ("class", "tested", "precision", "recall", "F1"),

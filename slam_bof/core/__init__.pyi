@@ -3,6 +3,10 @@ from .arrays import (
     GrowingArray as GrowingArray,
 )
 from .bounded_yaml import parse_yaml as parse_yaml
+from .checkpoint import (
+    Checkpoint as Checkpoint,
+    Restorable as Restorable,
+)
 from .failures import keep_going as keep_going
 from .native_libraries import (
     import_open3d as import_open3d,

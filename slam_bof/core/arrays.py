@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -22,10 +23,11 @@ class GrowingArray:
     [[1, 2], [3, 4]]
     """
 
-    __slots__ = ("_block", "_n")
+    __slots__ = ("_block", "_n", "_n_saved")
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike) -> None:
         self._n = 0
+        self._n_saved = 0
         self._block: NDArray[Any] = np.empty((4, *shape), dtype)
 
     def __len__(self) -> int:
@@ -44,22 +46,38 @@ class GrowingArray:
 
     def append(self, row: Any) -> None:
         """Add a row."""
-        if self._n == len(self._block):
-            spare = np.empty((4 + self._n // 8, *self._block.shape[1:]), self._block.dtype)
-            self._block = np.concatenate([self._block, spare])
+        if self._n == len(self._block) or self._n < self._n_saved:
+            self._move_to(4 + self._n + self._n // 8)
         self._block[self._n] = row
         self._n += 1
 
     def extend(self, rows: NDArray[Any]) -> None:
         """Add rows (m, *shape)."""
         n = self._n + len(rows)
-        if n > len(self._block):
-            grown = np.empty((n + n // 8, *self._block.shape[1:]), self._block.dtype)
-            grown[: self._n] = self.rows
-            self._block = grown
+        if n > len(self._block) or self._n < self._n_saved:
+            self._move_to(n + n // 8)
         self._block[self._n : n] = rows
         self._n = n
 
     def truncate(self, n: int) -> None:
         """Keep only the first ``n`` rows."""
         self._n = min(n, self._n)
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the present rows; see ``core.Checkpoint``.
+
+        They are not copied: a later row that would overwrite one of them moves to a new block.
+        """
+        block, n = self._block, self._n
+        self._n_saved = n
+
+        def restore() -> None:
+            self._block, self._n, self._n_saved = block, n, n
+
+        return restore
+
+    def _move_to(self, n_rows: int) -> None:
+        """Copy the rows into a new block with room for more."""
+        block = np.empty((n_rows, *self._block.shape[1:]), self._block.dtype)
+        block[: self._n] = self.rows
+        self._block, self._n_saved = block, 0

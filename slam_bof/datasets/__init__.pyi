@@ -16,6 +16,7 @@ from .labelled_frames import (
     LabelledSequence as LabelledSequence,
     frames_of as frames_of,
     open_labelled as open_labelled,
+    open_sequences as open_sequences,
     parse_label as parse_label,
     read_label_file as read_label_file,
     read_split as read_split,

@@ -23,6 +23,7 @@ __all__ = [
     "LabelledSequence",
     "frames_of",
     "open_labelled",
+    "open_sequences",
     "parse_label",
     "read_label_file",
     "read_split",
@@ -77,17 +78,32 @@ def parse_label(text: str) -> tuple[str, Path]:
 
 
 def open_labelled(label: str | None, path: Path) -> list[LabelledSequence]:
-    """Open a sequence, or all sequences of a folder that holds several, or one depth image.
+    """Open sequences as ``open_sequences`` does, all with one label.
 
     Without ``label``, the data set must have labels of its frames.
 
     Raises
     ------
     DatasetError
-        If the path is none of these, or has no labels and none was given.
+        If there are none, or they have no labels and none was given.
+    """
+    sequences = [LabelledSequence(dataset, label) for dataset in open_sequences(path)]
+    for sequence in sequences:
+        if label is None and sequence.dataset.scenes() is None:
+            raise DatasetError(f"{path}: found no scene labels there, expected NAME=PATH")
+    return sequences
+
+
+def open_sequences(path: Path) -> list[Dataset]:
+    """Open a sequence, or all sequences of a folder that holds several, or one depth image.
+
+    Raises
+    ------
+    DatasetError
+        If the path is none of these, or a sequence has no frames.
     """
     if path.is_file() and is_image(path):
-        return [LabelledSequence(DepthImages([path]), label)]
+        return [DepthImages([path])]
     folders = [path]
     if path.is_dir():
         below = sorted(folder for folder in path.glob("seq-*") if folder.is_dir())
@@ -97,13 +113,10 @@ def open_labelled(label: str | None, path: Path) -> list[LabelledSequence]:
             f"{path}: found images but no {CAMERA_FILE} beside them, expected one with "
             "width, height, fx, fy, cx, cy (px) and depth_scale (units a metre, such as 1000)"
         )
-    sequences = [LabelledSequence(registry.open_dataset(folder), label) for folder in folders]
-    for sequence in sequences:
-        if len(sequence.dataset) == 0:
-            raise DatasetError(f"{path}: found no frames, expected some")
-        if label is None and sequence.dataset.scenes() is None:
-            raise DatasetError(f"{path}: found no scene labels there, expected NAME=PATH")
-    return sequences
+    datasets = [registry.open_dataset(folder) for folder in folders]
+    if not all(map(len, datasets)):
+        raise DatasetError(f"{path}: found no frames, expected some")
+    return datasets
 
 
 def _is_plain(folder: Path) -> bool:

@@ -1,6 +1,7 @@
 from .holdout_training import (
     TrainedSceneModel as TrainedSceneModel,
     train_scene_model as train_scene_model,
+    train_words as train_words,
 )
 from .labeller_scores import (
     evaluate_labeller as evaluate_labeller,

@@ -12,6 +12,7 @@ from slam_bof.datasets import LabelledFrame, sequence_names
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
 from slam_bof.evaluation.scene_splits import Split, split_by_group, split_by_time
+from slam_bof.ports import Dataset
 from slam_bof.scenes import (
     ClassifierName,
     FrameDescriptors,
@@ -24,9 +25,10 @@ from slam_bof.scenes import (
     fit_model,
     make_folds,
     search_svm,
+    train_model,
 )
 
-__all__ = ["TrainedSceneModel", "evaluate_model", "train_scene_model"]
+__all__ = ["TrainedSceneModel", "evaluate_model", "train_scene_model", "train_words"]
 
 Progress = Callable[[str, int, int], None]
 
@@ -40,9 +42,9 @@ class TrainedSceneModel:
     """
 
     model: Model
-    scores: SceneScores | None
-    svm_params: SvmParams | None
-    n_checked: int
+    scores: SceneScores | None = None
+    svm_params: SvmParams | None = None
+    n_checked: int = 0
 
 
 def train_scene_model(
@@ -143,6 +145,38 @@ def train_scene_model(
     model = fit(described)
     on_progress("Training", n_tasks, n_tasks)
     return TrainedSceneModel(model, scores, svm_params, len(test) if check else 0)
+
+
+def train_words(
+    datasets: Sequence[Dataset],
+    params: PlaceParams,
+    *,
+    n_words: int = 1024,
+    every: int = 1,
+    seed: int = 0,
+    on_progress: Progress = lambda what, done, total: None,
+) -> Model:
+    """Train a model without labels: the words and idf of every n-th frame.
+
+    Raises
+    ------
+    DatasetError
+        If there are fewer descriptors than words.
+    """
+    frames = [(dataset, k) for dataset in datasets for k in range(0, len(dataset), every)]
+
+    def read() -> Iterator[TrainingFrame]:
+        for done, (dataset, index) in enumerate(frames, start=1):
+            yield TrainingFrame(dataset.frame(index))
+            on_progress("Describing", done, len(frames))
+
+    names = ", ".join(sorted({dataset.sequence for dataset in datasets}))
+    try:
+        return train_model(
+            read(), params, n_words=n_words, seed=seed, trained_on=names, levelled=False
+        )
+    except ValueError as error:
+        raise DatasetError(f"{names}: cannot train on {len(frames)} frames: {error}") from error
 
 
 def evaluate_model(model: Model, described: FrameDescriptors) -> SceneScores:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
+from types import MappingProxyType
 from typing import Any
 
 from slam_bof.core import registry
@@ -35,6 +36,7 @@ def evaluate_places(
     training: Sequence[Dataset] = (),
     params: ProtocolParams | None = None,
     n_words: int = 1024,
+    options: Mapping[str, Any] = MappingProxyType({}),
     recogniser: RecogniserParams | None = None,
     odometry: str = "kiss-icp",
     seed: int = 0,
@@ -56,6 +58,8 @@ def evaluate_places(
         Parameters of the protocol.
     n_words
         Number of words of each vocabulary.
+    options
+        Options of descriptor plug-ins, by name.
     recogniser, odometry
         Parameters of the recogniser, and the odometry plug-in that gives it poses.
     seed
@@ -86,7 +90,7 @@ def evaluate_places(
             place_recogniser = PlaceRecogniser(recogniser, seed=seed)
             tracker = registry.build("odometry", odometry)
             return score_recogniser(place_recogniser, tracker, queries, on_progress)
-        descriptor: Descriptor = registry.build("descriptors", name)
+        descriptor: Descriptor = registry.build("descriptors", name, options.get(name, {}))
         reason = explain_omission(name, descriptor, queries.dataset, training)
         if reason:
             sequence = queries.dataset.sequence

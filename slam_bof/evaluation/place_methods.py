@@ -28,6 +28,7 @@ __all__ = [
     "MethodScores",
     "bag_similarities",
     "explain_omission",
+    "hamming_similarities",
     "row_similarities",
     "score_descriptor",
     "score_recogniser",
@@ -111,7 +112,11 @@ def score_descriptor(
             values = descriptor.describe(frame, gray)
         run.keep(values)
         on_progress(f"{dataset.sequence} {name}", done, len(indices))
-    if vocabulary is None:
+    if descriptor.comparison == "hamming":
+        n_bytes = run.nbytes
+        with query.measure():
+            scores = hamming_similarities(run.values)
+    elif vocabulary is None:
         rows, n_bytes = np.concatenate(run.values), run.nbytes
         with query.measure():
             scores = row_similarities(rows, descriptor.comparison)
@@ -173,6 +178,33 @@ def row_similarities(values: NDArray[Any], comparison: str) -> NDArray[np.float3
     if comparison == "equal":
         return np.stack([(values == row).mean(axis=1, dtype=np.float32) for row in values])
     raise ValueError(f"comparison must be cosine, l1 or equal, got {comparison!r}")
+
+
+def hamming_similarities(codes: Sequence[NDArray[np.uint8]]) -> NDArray[np.float32]:
+    """Return the similarity of each two frames by their local codes, (K, K).
+
+    A query's code counts by the share of bits that it has in common with the nearest code of the
+    other frame. A frame without codes is similar to none.
+
+    Parameters
+    ----------
+    codes
+        For each frame (M, B) packed bits; M may differ.
+    """
+    counts = np.array([len(of_frame) for of_frame in codes])
+    n_bytes = max((of_frame.shape[1] for of_frame in codes), default=0)
+    rows = np.zeros((counts.sum(), -(-n_bytes // 8) * 8), np.uint8)
+    rows[:, :n_bytes] = np.concatenate([np.empty((0, n_bytes), np.uint8), *codes])
+    words = rows.view(np.uint64)
+    found = np.flatnonzero(counts)
+    ends = np.cumsum(counts)
+    scores = np.zeros((len(codes), len(codes)), np.float32)
+    for k in found:
+        own = words[ends[k] - counts[k] : ends[k], None]
+        distance = np.bitwise_count(own ^ words).sum(axis=2, dtype=np.uint16)
+        nearest = np.minimum.reduceat(distance, (ends - counts)[found], axis=1)
+        scores[k, found] = 1.0 - nearest.mean(axis=0) / (8 * n_bytes)
+    return scores
 
 
 def bag_similarities(bags: Sequence[Bag], n_words: int) -> NDArray[np.float32]:

@@ -23,7 +23,7 @@ from slam_bof.evaluation.cost import one_thread
 from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
 from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
 from slam_bof.evaluation.scene_splits import Split
-from slam_bof.scenes import TrainingFrame, frame_groups
+from slam_bof.scenes import SvmParams, TrainingFrame, frame_groups
 from slam_bof.synthetic import ROOM_KINDS, RoomViews, make_gallery
 from slam_bof.types import Array
 
@@ -49,6 +49,7 @@ class SceneResult:
     ``probabilities`` (N, C) are in the order of ``scores.classes``, ``true`` (N,) are the true
     labels. ``label_ms`` is the median CPU time from image to label in milliseconds, ``train_s``
     the CPU time of training in seconds, and ``n_bytes`` the size of what was learnt.
+    ``svm_params`` is what a grid search chose.
     """
 
     method: str
@@ -58,6 +59,7 @@ class SceneResult:
     label_ms: float
     train_s: float
     n_bytes: int
+    svm_params: SvmParams | None = None
 
 
 def compare_methods(
@@ -249,6 +251,7 @@ def _test(
             label_ms=method.label.median_ms,
             train_s=method.train.cpu_s,
             n_bytes=method.nbytes(),
+            svm_params=method.svm_params if isinstance(method, DescriptorMethod) else None,
         )
         for method in methods
     ]

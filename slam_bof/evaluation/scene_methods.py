@@ -32,10 +32,12 @@ from slam_bof.scenes import (
     Labeller,
     Model,
     SceneClassifier,
+    SvmParams,
     TrainingFrame,
     make_classifier,
     make_folds,
     model as models,
+    search_svm,
     train_model,
 )
 from slam_bof.types import Array, DepthFrame
@@ -44,6 +46,8 @@ __all__ = ["OURS", "DescriptorMethod", "ModelMethod", "SceneMethod", "make_metho
 
 OURS = "ours"
 """Name of slam_bof's own model among the methods."""
+GRID = "grid"
+"""Suffix of a method whose support vector machine is found by grid search."""
 COST = 10.0
 """Cost of a training error (C) of the support vector machines."""
 N_FOLDS = 5
@@ -146,9 +150,14 @@ class DescriptorMethod:
         n_words: int = 1024,
         seed: int = 0,
         classifier: ClassifierName | None = None,
+        grid_search: bool = False,
     ) -> None:
-        self.name = "+".join(names) + (f":{classifier}" if classifier else "")
+        suffix = GRID if grid_search else classifier
+        self.name = "+".join(names) + (f":{suffix}" if suffix else "")
+        self.svm_params: SvmParams | None = None
+        """What the grid search chose."""
         self._classifier_name: ClassifierName = classifier or "svm-rbf"
+        self._grid_search = grid_search
         self.label, self.train = Cost(), Cost()
         self._n_words, self._seed = n_words, seed
         pairs = zip(names, options or [{}] * len(names), strict=True)
@@ -156,10 +165,12 @@ class DescriptorMethod:
             registry.build("descriptors", plugin, chosen) for plugin, chosen in pairs
         ]
         self.needs_gray = any(descriptor.needs_gray for descriptor in self._descriptors)
-        kinds = {descriptor.comparison == "bag" for descriptor in self._descriptors}
+        kinds = {descriptor.comparison in ("bag", "hamming") for descriptor in self._descriptors}
         if len(kinds) > 1 or (kinds == {True} and len(names) > 1):
             raise ValueError(f"bags of words cannot be put beside others, got {self.name}")
         self._is_bag = kinds == {True}
+        if grid_search and not self._is_bag:
+            raise ValueError(f"grid search is for bags of words, got {self.name}")
         self._run = DescriptorRun(self._descriptors[0])
 
     def add(self, frame: DepthFrame, gray: Gray | None) -> None:
@@ -178,9 +189,7 @@ class DescriptorMethod:
                     self._run, self.name, n_words=n_words, seed=self._seed
                 )
                 X = self._vocabulary[1].transform(counts)
-                self._classifier = SceneClassifier(
-                    classifier=self._classifier_name, C=COST, seed=self._seed
-                ).fit(X, y, groups)
+                self._classifier = self._choose_classifier(X, y, groups).fit(X, y, groups)
             else:
                 rows = np.concatenate(self._run.values).astype(np.float64)
                 classifier = make_classifier(self._classifier_name, C=COST, seed=self._seed)
@@ -189,6 +198,15 @@ class DescriptorMethod:
                     make_pipeline(StandardScaler(), classifier), cv=folds, ensemble=False
                 ).fit(rows, y)
         self._run = DescriptorRun(self._descriptors[0])
+
+    def _choose_classifier(self, X: Any, y: NDArray[Any], groups: Sequence[str]) -> SceneClassifier:
+        """Return a classifier of bags, with parameters by grid search if that is asked for."""
+        if not self._grid_search:
+            return SceneClassifier(classifier=self._classifier_name, C=COST, seed=self._seed)
+        folds = make_folds(y, groups, N_FOLDS, self._seed)
+        self.svm_params, _ = search_svm(np.sqrt(X.toarray()), y, folds, seed=self._seed)
+        found = self.svm_params
+        return SceneClassifier(classifier=found.name, C=found.C, gamma=found.gamma, seed=self._seed)
 
     def probabilities(self, frame: DepthFrame, gray: Gray | None) -> Array:
         """Return the probability of each class (C,), sorted by name, of a frame."""
@@ -223,6 +241,8 @@ def make_methods(
 
     A name is ``ours``, that of a descriptor plug-in, or ``A+B`` for the concatenated rows of
     several; ``A:mlp`` uses another of ``CLASSIFIERS`` than the Gaussian support vector machine.
+    ``A:grid`` searches a support vector machine for bags by cross-validation of the training
+    frames, as the paper does (section 4.1).
 
     Raises
     ------
@@ -237,15 +257,20 @@ def make_methods(
             methods.append(ModelMethod(n_words=n_words, seed=seed))
             continue
         plugins, _, suffix = name.partition(":")
+        grid_search = suffix == GRID
         classifier = next((known for known in CLASSIFIERS if known == suffix), None)
-        if suffix and classifier is None:
-            expected = ", ".join(CLASSIFIERS)
+        if suffix and classifier is None and not grid_search:
+            expected = ", ".join((*CLASSIFIERS, GRID))
             raise DatasetError(
                 f"method {name!r}: found no classifier {suffix!r}, expected one of {expected}"
             )
         try:
             method = DescriptorMethod(
-                plugins.split("+"), n_words=n_words, seed=seed, classifier=classifier
+                plugins.split("+"),
+                n_words=n_words,
+                seed=seed,
+                classifier=classifier,
+                grid_search=grid_search,
             )
             methods.append(method)
         except ValueError as error:

@@ -13,7 +13,6 @@ from slam_bof.errors import DatasetError
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
 __all__ = [
-    "MAX_DEPTH_M",
     "PointParams",
     "back_project",
     "checked_depth",

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.geometry.camera import MAX_DEPTH_M, PointParams, points_camera_f32, ray_slopes
+from slam_bof.geometry.camera import PointParams, points_camera_f32, ray_slopes
 from slam_bof.types import DepthFrame, Intrinsics, SensorParams, SubsampledDepth
 
 __all__ = [
@@ -25,6 +25,8 @@ WIDTH_PX = 160
 """Approximate width of the image that points are taken from. A view has half this width."""
 STEPS_PER_M = 8000
 """Finest resolution at which the map keeps depths in metres: steps of 1/8 mm."""
+BEYOND_M = 1e6
+"""Farther than any sensor sees."""
 MAX_STEPS = 65535
 """Largest number of steps that the map can keep."""
 
@@ -73,7 +75,7 @@ def view_points(frame: DepthFrame) -> NDArray[np.float32]:
 def _view_points(frame: DepthFrame) -> NDArray[np.float32]:
     stride = view_stride(frame.intrinsics)
     points = points_camera_f32(
-        frame, PointParams(stride=stride, min_range_m=0.0, max_range_m=MAX_DEPTH_M)
+        frame, PointParams(stride=stride, min_range_m=0.0, max_range_m=BEYOND_M)
     )
     points.setflags(write=False)
     return points

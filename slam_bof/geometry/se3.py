@@ -32,6 +32,8 @@ __all__ = [
 TOLERANCE = 1e-2
 """Largest deviation of ``R.T @ R`` from the identity in a transform given by the user. It permits
 numbers with few digits."""
+LAST_ROW: Array = np.array([0.0, 0.0, 0.0, 1.0])
+LAST_ROW_TOLERANCE = 1e-6
 MAX_POSITION_M = 1e8
 """Largest coordinate of a position given by the user; geocentric ones have 6.4e6 m."""
 
@@ -53,6 +55,9 @@ expected an orthonormal one of determinant 1
         raise ValueError(f"found an array {T.shape}, expected a (4, 4) transform")
     if not np.isfinite(T).all():
         raise ValueError("found NaN or infinity, expected 12 finite numbers")
+    if len(T) == 4 and np.abs(T[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
+        last_row = " ".join(f"{number:g}" for number in T[3])
+        raise ValueError(f"found a last row {last_row}, expected 0 0 0 1")
     if (farthest_m := float(np.abs(T[:3, 3]).max())) > MAX_POSITION_M:
         raise ValueError(f"found a position at {farthest_m:g} m, expected metres")
     R = T[:3, :3]
@@ -146,7 +151,7 @@ def nearest_pose(T: ArrayLike) -> Pose:
     # The order of memory decides the last bits of products.
     T = np.array(T, dtype=np.float64, order="C")
     T[..., :3, :3] = nearest_rotation(T[..., :3, :3])
-    T[..., 3, :] = 0.0, 0.0, 0.0, 1.0
+    T[..., 3, :] = LAST_ROW
     return T
 
 

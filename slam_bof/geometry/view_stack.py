@@ -27,7 +27,9 @@ NORMAL_STEPS = 127
 
 
 MAX_STEP = np.float32(0.03)
-"""Depths are interpolated if they differ by less than this share of (1 m + depth)."""
+"""Pixels whose depths differ by less than this share of (1 m + depth) are on one surface."""
+MAX_BEND = np.float32(0.03)
+"""So are three in a row whose inverse depths deviate from a line by less than this share."""
 
 
 class ProjectedPoints(NamedTuple):
@@ -174,27 +176,27 @@ class ViewStack:
         """Return the result of ``depth_at``, interpolated between pixels on the same surface.
 
         The inverse depth of a plane is linear in the image. Without interpolation, the depth of a
-        floor at a grazing angle may be off by decimetres, and views would seem to agree best where
-        their pixels coincide.
+        wall at a grazing angle may be off by decimetres, and views would seem to agree best where
+        their pixels coincide. At an edge the surface of the nearest pixel is continued. A pixel
+        that is on no surface has depth 0.
         """
         assert self._camera is not None
         width = self._camera.width
         depth_m, addresses = self.depth_at(views, projected)
-        flat = self._depths_m.rows.reshape(-1)
         inverse = np.zeros_like(depth_m)
         np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
         change = np.zeros_like(depth_m)
         for offset, step in ((projected.column_offset, 1), (projected.row_offset, width)):
-            aside = np.where(offset > 0, step, -step)
-            aside += addresses
-            near_m = flat.take(aside, mode="clip")
-            is_same = np.abs(near_m - depth_m) < MAX_STEP * (np.float32(1.0) + depth_m)
-            is_same &= near_m > 0
-            np.divide(np.float32(1.0), near_m, out=near_m, where=is_same)
-            near_m -= inverse
-            near_m *= np.abs(offset)
-            near_m *= is_same
-            change += near_m
+            towards = np.where(offset > 0, step, -step)
+            ahead = self._inverse_depth_at(addresses + towards) - inverse
+            behind = inverse - self._inverse_depth_at(addresses - towards)
+            limit = MAX_STEP * (inverse + np.square(inverse))
+            is_same = np.abs(ahead) < limit
+            is_same |= np.abs(ahead - behind) < MAX_BEND * inverse
+            is_same_behind = np.abs(behind) < limit
+            slope = np.where(is_same, ahead, np.where(is_same_behind, behind, 0.0))
+            change += np.abs(offset) * slope
+            depth_m *= is_same | is_same_behind
         inverse += change
         np.divide(np.float32(1.0), inverse, out=depth_m, where=depth_m > 0)
         return depth_m, addresses
@@ -217,6 +219,13 @@ class ViewStack:
         found = self._normals.rows.reshape(-1, 3).take(addresses, axis=0)
         np.multiply(found.transpose(0, 2, 1), np.float32(1 / NORMAL_STEPS), out=normals)
         return points, normals
+
+    def _inverse_depth_at(self, addresses: Indices) -> Floats:
+        """Return 1 / depth at flat indices, 0 where no depth is known."""
+        depth_m = self._depths_m.rows.reshape(-1).take(addresses, mode="clip")
+        inverse: Floats = np.zeros_like(depth_m)
+        np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
+        return inverse
 
     def _points(self, views: int | Indices, pixels: Indices) -> Floats:
         addresses = views * len(self._rays) + pixels

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +76,12 @@ class VerificationParams(Params):
         ge=0,
         description="Drift in direction that odometry may have, in rad for each m travelled.",
     )
+    global_registration: Literal["if_needed", "always"] = Field(
+        "if_needed",
+        description="With bags: when a candidate is registered without an initial pose, which "
+        "the verifier open3d does by RANSAC: if_needed where its pose in the map fails, always as "
+        "in the paper.",
+    )
     consistency: ConsistencyParams = ConsistencyParams()
     component_joining: ComponentJoiningParams = ComponentJoiningParams()
 
@@ -92,7 +98,13 @@ class Verified(NamedTuple):
 
 
 class LoopVerification:
-    """Keeps the keyframes' clouds and verifies candidates between them."""
+    """Keeps the keyframes' clouds and verifies candidates between them.
+
+    Attributes
+    ----------
+    n_global_registrations
+        Number of pairs that were registered without an initial pose.
+    """
 
     def __init__(
         self,
@@ -107,6 +119,7 @@ class LoopVerification:
         self._gate = ConsistencyGate(params.consistency)
         self._join_gate = ComponentJoiningGate(params.component_joining, compare)
         self._seed = seed
+        self.n_global_registrations = 0
         self._prepared: list[Any] = []
 
     def add(self, frame: DepthFrame, points_camera: Array) -> None:
@@ -194,7 +207,8 @@ class LoopVerification:
     ) -> list[Verification]:
         """Align from the guess or else from where the map has the two; like bags, from nothing.
 
-        Where the map is good already, the global search, ten times the cost, is spared.
+        Where the map is good already, the global search, ten times the cost, is spared, unless
+        it is always asked for.
         """
         if not candidates:
             return []
@@ -205,16 +219,29 @@ class LoopVerification:
             T_match_query[k] = guesses.get(match_id, T_match_query[k])
         query = self._prepared[query_id]
         matches = [self._prepared[match_id] for match_id in match_ids]
-        verified = self._verifier.verify(query, matches, T_match_query=T_match_query)
-        again = [
+        guessed = [k for k, candidate in enumerate(candidates) if not self._is_unguessed(candidate)]
+        found = self._verifier.verify(
+            query, [matches[k] for k in guessed], T_match_query=T_match_query[guessed]
+        )
+        verified = dict(zip(guessed, found, strict=True))
+        unguessed = [
             k
             for k, candidate in enumerate(candidates)
-            if candidate.source == CandidateSource.BAG and not verified[k].accepted
+            if candidate.source == CandidateSource.BAG
+            and not (k in verified and verified[k].accepted)
         ]
-        found = self._verifier.verify(query, [matches[k] for k in again], seed=self._seed)
-        for k, verification in zip(again, found, strict=True):
-            verified[k] = verification
-        return verified
+        found = self._verifier.verify(query, [matches[k] for k in unguessed], seed=self._seed)
+        self.n_global_registrations += len(unguessed)
+        verified |= zip(unguessed, found, strict=True)
+        return [verified[k] for k in range(len(candidates))]
+
+    def _is_unguessed(self, candidate: Candidate) -> bool:
+        """Return whether a candidate is registered without an initial pose in any case."""
+        return (
+            self.params.global_registration == "always"
+            and candidate.source == CandidateSource.BAG
+            and candidate.decision == Decision.OPEN
+        )
 
     def _reason_against(
         self,

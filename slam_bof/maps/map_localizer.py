@@ -105,7 +105,7 @@ class MapLocalizer:
                     raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
                 localizer.add(frame, T_map_camera[k])
         own = [keyframes[k] for k in largest]
-        return cls(localizer, own, model.labeller(), camera, config.sensor)
+        return cls(localizer, own, model.labeller(config.labels.by), camera, config.sensor)
 
     def __len__(self) -> int:
         """Return the number of keyframes that images are compared with."""

@@ -119,7 +119,14 @@ class PlaceRecogniser:
 
     @one_blas_thread()
     def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
-        """Store a view, and return its id: 0, 1, 2 ..."""
+        """Store a view, and return its id: 0, 1, 2 ...
+
+        Raises
+        ------
+        ValueError
+            If the pose is no finite rigid transform, or the frame is of another camera.
+        """
+        se3.check_rigid(np.asarray(T_odom_camera))
         gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
         return self._add(frame, T_odom_camera, gravity_camera)
 

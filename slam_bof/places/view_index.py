@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,10 @@ __all__ = ["Proposals", "ViewIndex", "ViewIndexParams"]
 class ViewIndexParams(Params):
     """Sizes of the shortlists of the search, and weights of its two scores."""
 
+    by: Literal["both", "constellation", "panorama"] = Field(
+        "both",
+        description="What proposes views: the constellation of BOFs, the range panorama, or both.",
+    )
     n_voted: int = Field(
         200,
         gt=0,
@@ -107,16 +111,22 @@ class ViewIndex:
         allowed = (ids < n_views) & ~np.isin(ids, [] if exclude is None else exclude)
         query_row = bisect_left(self._ids, view_id)
         bofs = self._index.bofs(query_row)
-        if allowed.sum() > p.n_voted:
-            rows = voted = self._index.candidates(bofs, p.n_voted, allowed=allowed)
-        else:
-            rows = np.flatnonzero(allowed)
-            voted = self._index.candidates(bofs, p.n_compared, allowed=allowed)
-        panorama_scores = self._panorama_scores(rows, query_row)
-        # Of the views that are compared contour by contour, each method proposes half.
-        voted = voted[: p.n_compared // 2]
-        by_panorama = rows[np.argsort(-panorama_scores, kind="stable")[: p.n_compared - len(voted)]]
-        found = self._index.compare(bofs, np.union1d(voted, by_panorama))
+        rows, voted = np.flatnonzero(allowed), np.empty(0, np.intp)
+        if p.by != "panorama":
+            crowded = len(rows) > p.n_voted
+            n_voted = p.n_voted if crowded else p.n_compared
+            voted = self._index.candidates(bofs, n_voted, allowed=allowed)
+            rows = voted if crowded else rows
+        panorama_scores = np.zeros(len(rows), np.float32)
+        if p.by != "constellation":
+            panorama_scores = self._panorama_scores(rows, query_row)
+            # Of the views that are compared contour by contour, each method proposes half.
+            voted = voted[: p.n_compared // 2]
+            best = np.argsort(-panorama_scores, kind="stable")[: p.n_compared - len(voted)]
+            voted = np.union1d(voted, rows[best])
+        found = self._index.compare(bofs, voted)
+        if p.by == "panorama":
+            found = found.without_motion()
         scores = np.full(len(ids), -1.0, np.float32)
         scores[rows] = panorama_scores
         scores[found.view_ids] += np.float32(p.constellation_weight) * found.scores

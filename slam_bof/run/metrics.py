@@ -61,6 +61,7 @@ def count_metrics(
         "n_components": closer.map.n_components,
         "n_candidates": len(considered),
         "n_verified": sum(not np.isnan(c.rmse_m) for c in considered),
+        "n_global_registrations": closer.map.n_global_registrations,
         **{f"n_keyframes_{name}": n for name, n in asdict(closer.map.loop_counts).items()},
         "n_loops": len(loops),
         "n_loops_recognised": sum(loop.source != CandidateSource.PROXIMITY for loop in loops),

@@ -51,6 +51,11 @@ class SvmParams:
     gamma: float | Literal["scale"]
     accuracy: float
 
+    def __str__(self) -> str:
+        """Return them in words."""
+        gamma = "" if self.gamma == "scale" else f", gamma {self.gamma:g}"
+        return f"{self.name}, C {self.C:g}{gamma}; accuracy {self.accuracy:.3f} in cross-validation"
+
 
 def make_classifier(
     name: ClassifierName,

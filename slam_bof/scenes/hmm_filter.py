@@ -14,6 +14,8 @@ run is finished, ``hmm_smoother`` assigns the evidence to the places that were s
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
@@ -38,8 +40,13 @@ MIN_PROBABILITY = 1e-6
 
 
 class SceneFilterParams(Params):
-    """Parameters of the hidden Markov model of scene labels."""
+    """What labels keyframes, and the hidden Markov model of their labels."""
 
+    by: Literal["levelled", "bag"] = Field(
+        "levelled",
+        description="Classifier of keyframes: levelled for features of the levelled view (if the "
+        "model has them, else bag), bag for the bag of words of the frame, as in the paper.",
+    )
     mean_stay_s: float = Field(
         60.0, gt=0, description="Mean time that the camera stays in a room, in seconds."
     )
@@ -160,9 +167,8 @@ class SceneFilter:
         seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
         new = novelty(position_m, axis, seen_m, axes)
         logs = weighted_log_likelihood(scene.probabilities, 1.0)
-        if self._sums is None:
-            self._sums = np.zeros((len(logs), len(logs) + 2))
-        self._sums *= decay
+        before = np.zeros((len(logs), len(logs) + 2)) if self._sums is None else self._sums
+        self._sums = before * decay
         self._sums[best] += [*logs, new, 1.0]
         self._seen_m.append(position_m)
         self._axes.append(axis)

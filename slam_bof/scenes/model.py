@@ -20,7 +20,7 @@ from functools import cached_property
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,15 +93,28 @@ class Model:
         """Return the describer that makes bags of words of frames."""
         return PlaceDescriber(self.places, self.vocabulary, self.tf_idf)
 
-    def labeller(self) -> Labeller | None:
-        """Return the labeller of frames: the levelled classifier if there is one, else bags.
+    def labeller(self, by: Literal["levelled", "bag"] = "levelled") -> Labeller | None:
+        """Return the labeller of frames; None where the model was trained without labels.
 
-        None where the model was trained without labels.
+        Parameters
+        ----------
+        by
+            ``levelled`` prefers the levelled classifier, ``bag`` takes that of bags.
+
+        Raises
+        ------
+        ModelError
+            If bags are asked for, and only the levelled classifier was trained.
         """
-        if self.levelled_classifier is not None:
+        if self.levelled_classifier is not None and by == "levelled":
             return self.levelled_classifier
         if self.bag_classifier is not None:
             return BagLabeller(self.describer(), self.bag_classifier)
+        if self.levelled_classifier is not None:
+            raise ModelError(
+                f"the model ({self.trained_on}): found no classifier of bags, expected one to "
+                "label by bags"
+            )
         return None
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -36,6 +36,16 @@ class FrameHistory:
     def assign_previous(self, segment: int) -> None:
         """Assign the frame before the last one to a segment that began with the last one."""
         self.frames[-2] = replace(self.frames[-2], segment=segment)
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the present frames; see ``core.Checkpoint``."""
+        n = max(len(self) - 2, 0)  # only the last two may be replaced
+        last = self.frames[n:]
+
+        def restore() -> None:
+            self.frames[n:] = last
+
+        return restore
 
     def trajectory(
         self, keyframes: Sequence[Keyframe] = (), T_map_keyframes: Array | None = None

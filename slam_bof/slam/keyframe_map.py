@@ -77,7 +77,7 @@ class KeyframeMap:
         self._config = config
         self._gravity_odom = np.asarray(config.gravity_odom, dtype=np.float64)
         self._describer = model.describer()
-        self._labeller = model.labeller()
+        self._labeller = model.labeller(config.labels.by)
         self._scene_filter = SceneFilter(config.labels)
         self._detector = LoopDetector(
             config.loops,
@@ -139,11 +139,17 @@ class KeyframeMap:
         """Numbers of keyframes of this session by the stage that their loop search reached."""
         return self._detector.counts
 
+    @property
+    def n_global_registrations(self) -> int:
+        """Number of pairs in this session that were registered without an initial pose."""
+        return self._verification.n_global_registrations
+
     def begin_session(self) -> None:
         """Begin a session with another odometry frame. Its clock may restart."""
         self.session += 1
         self.first_keyframe = len(self)
         self._detector.begin_session(self._gravity_odom)
+        self._verification.n_global_registrations = 0
         self._scene_filter = SceneFilter(self._config.labels)
 
     def describe(
@@ -230,11 +236,13 @@ class KeyframeMap:
 
     def state(self) -> dict[str, Any]:
         """Return the state that keyframe records do not contain, as JSON values."""
-        return self._detector.state()
+        n = self._verification.n_global_registrations
+        return self._detector.state() | {"n_global_registrations": n}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a state of ``state``, after its keyframes were replayed."""
         self._detector.restore(state)
+        self._verification.n_global_registrations = state.get("n_global_registrations", 0)
 
     def _add_loops(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
         loops = list(loops)

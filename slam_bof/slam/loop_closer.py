@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Self
@@ -10,7 +12,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam_bof.core import StageClock, one_blas_thread
+from slam_bof.core import Checkpoint, StageClock, one_blas_thread
 from slam_bof.errors import FrameError
 from slam_bof.geometry import (
     CloudCamera,
@@ -43,11 +45,16 @@ MAX_JUMP_S = 86_400.0
 """A stamp farther ahead of the last than this is broken, unless the next frame confirms it."""
 
 Journal = Callable[[KeyframeRecord], None]
-"""Called with the record of each new keyframe to save it, such as ``MapWriter.write``."""
+"""Called with the record of each new keyframe to save it, such as ``MapWriter.write``. What it
+raises ends the call of the loop closer, which has processed the frame all the same; the record
+comes again before that of the next keyframe, and at the end."""
 
 
 class LoopCloser:
     """Adds loop closing, map correction and scene labels to your own odometry.
+
+    A call happens whole or not at all: after an exception or Ctrl-C in it, the next call goes on
+    from the frame before. Calls from several threads wait for each other.
 
     >>> closer = LoopCloser.from_preset("indoor")  # doctest: +SKIP
     >>> for frame, T_odom_camera in my_odometry:  # doctest: +SKIP
@@ -73,6 +80,10 @@ class LoopCloser:
         self._map = KeyframeMap(config, self._clock)
         self._camera: Intrinsics | None = None
         self._refused_stamp_s = -np.inf
+        self._unsaved: list[KeyframeRecord] = []
+        self._lock = threading.Lock()
+        self._owner: int | None = None
+        self._before: Checkpoint | None = None
         self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
     @classmethod
@@ -130,7 +141,21 @@ class LoopCloser:
             transform; or if the covariance is not positive semidefinite. It is a ``ValueError``
             too. Such a frame is ignored, and the next call may continue. A jump of the clock is
             accepted with the next frame that confirms it.
+        RuntimeError
+            If it is called from inside another call, such as by the journal.
         """
+        with self._whole() as before:
+            return self._process(before, frame, T_odom_camera, covariance, T_view_camera)
+
+    def _process(
+        self,
+        before: Checkpoint,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        covariance: ArrayLike | None,
+        T_view_camera: Pose | None,
+    ) -> Step:
+        """Process a frame; ``before`` is the state to return to if that fails."""
         frame_index = len(self.history)
         step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
         frame, T_odom_camera = self._check(frame, T_odom_camera)
@@ -148,6 +173,7 @@ class LoopCloser:
         if not track.is_lost and self._selector.select(
             frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
+            before.save(self._map)
             self._tracker.keep()
             self.history.frames[-1] = replace(
                 self.history.frames[-1], step_covariance=track.step_covariance
@@ -161,7 +187,7 @@ class LoopCloser:
                 step_covariance=track.step_covariance,
             )
             verified = self._map.add(keyframe, frame)
-            self._save(keyframe, frame, unsaved, verified)
+            self._record(keyframe, frame, unsaved, verified)
             loops, candidates = tuple(verified.admitted), tuple(verified.candidates)
             step = Step(keyframe, keyframe.scene, loops, candidates, np.eye(4))
         else:
@@ -171,6 +197,7 @@ class LoopCloser:
         T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)
         return replace(step, T_map_odom=T_map_odom, open_axes=track.open_axes)
 
+    @one_blas_thread()
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
         """Process a point cloud instead of a depth image, like ``process``.
 
@@ -196,26 +223,32 @@ class LoopCloser:
         ValueError
             If the points are not (N, 3).
         """
-        T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
-        has_camera = self._camera is not None
-        frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
-        T_odom_view = T_odom_camera @ T_camera_view
-        step = self.process(frame, T_odom_view, T_view_camera=se3.inverse(T_camera_view))
-        if not has_camera and not frame.depth.any():
-            self._camera = None  # the cloud was empty, so the next camera counts as the first
-        return step
+        with self._whole() as before:
+            T_odom_camera = self._check_pose(stamp_s, T_odom_camera)
+            has_camera = self._camera is not None
+            frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
+            T_odom_view, T_view_camera = T_odom_camera @ T_camera_view, se3.inverse(T_camera_view)
+            step = self._process(before, frame, T_odom_view, None, T_view_camera)
+            if not has_camera and not frame.depth.any():
+                self._camera = None  # the cloud was empty, so the next camera counts as the first
+            return step
 
     def finish(self) -> Trajectory:
         """Optimise the whole graph; return ``T_map_camera`` of every frame of this session.
 
         Without any keyframe, because all frames were empty, this is the odometry. Loops that
-        contradict the others move from ``loops`` to ``loops_left_out``.
+        contradict the others move from ``loops`` to ``loops_left_out``. It may be called again.
+
+        Keyframes that the journal could not save are passed to it again. If it fails again, set
+        ``journal`` to None and call once more to get the trajectory all the same.
         """
-        with self._clock.stage("optimize"):
-            self._map.graph.optimize()
-        own = self._map.of_session
-        poses = self._map.poses()[self._map.first_keyframe :] if own else None
-        return self.history.trajectory(own, poses)
+        with self._whole() as before:
+            before.save(self._map)
+            with self._clock.stage("optimize"):
+                self._map.graph.optimize()
+            own = self._map.of_session
+            poses = self._map.poses()[self._map.first_keyframe :] if own else None
+            return self.history.trajectory(own, poses)
 
     @one_blas_thread()
     def restore(self, records: Iterable[KeyframeRecord]) -> None:
@@ -229,12 +262,18 @@ class LoopCloser:
         ValueError
             If this loop closer has processed frames before.
         """
+        with self._whole() as before:
+            before.save(self._map)
+            self._restore(records)
+
+    def _restore(self, records: Iterable[KeyframeRecord]) -> None:
+        """Do what ``restore`` says."""
         if self._map.keyframes or len(self.history):
             raise ValueError("only a new loop closer can restore a saved map")
         record = None
         for record in records:
             while self._map.session < record.keyframe.session:
-                self.begin_session()
+                self._begin_session()
             self._camera = record.depth.intrinsics
             self.history.frames.extend(record.frames)
             self._map.replay(record)
@@ -255,6 +294,12 @@ class LoopCloser:
         The clock may restart. The new keyframes form a separate component of the pose graph until
         loops join it to the earlier ones.
         """
+        with self._whole() as before:
+            before.save(self._map)
+            self._begin_session()
+
+    def _begin_session(self) -> None:
+        """Do what ``begin_session`` says."""
         self._map.begin_session()
         self.history = FrameHistory()
         segment = self._map.keyframes[-1].segment + 1 if self._map.keyframes else 0
@@ -290,16 +335,22 @@ class LoopCloser:
             raise FrameError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
         if frame.intrinsics != camera:
             frame = replace(frame, intrinsics=camera)
-        T_odom_camera = np.asarray(T_odom_camera, dtype=np.float64)
-        try:
-            if T_odom_camera.shape == (3, 4):
-                raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
-            se3.check_rigid(T_odom_camera)
-        except ValueError as error:
-            place = f"T_odom_camera of frame {len(self.history)}, at {frame.stamp_s} s"
-            raise FrameError(f"{place}: {error}") from None
+        T_odom_camera = self._check_pose(frame.stamp_s, T_odom_camera)
         self._camera = camera
         return frame, T_odom_camera
+
+    def _check_pose(self, stamp_s: float, T_odom_camera: ArrayLike) -> Pose:
+        """Check the pose of the next frame; return a copy of it as float64."""
+        try:
+            T = np.array(T_odom_camera, dtype=np.float64)
+            if T.shape == (3, 4):
+                raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
+            se3.check_rigid(T)
+        except (TypeError, ValueError) as error:
+            place = f"T_odom_camera of frame {len(self.history)}, at {stamp_s} s"
+            raise FrameError(f"{place}: {error}") from None
+        T[3] = se3.LAST_ROW
+        return T
 
     def _check_stamp(self, stamp_s: float) -> None:
         """Refuse a stamp that does not increase, or a jump that no frame before confirms."""
@@ -321,14 +372,50 @@ class LoopCloser:
             and self._map.keyframes[-1].segment != track.segment
         )
 
-    def _save(
+    @contextmanager
+    def _whole(self) -> Iterator[Checkpoint]:
+        """Run a call alone. If it does not come to its end, take back all that it did."""
+        if self._lock.locked() and self._owner == threading.get_ident():
+            raise RuntimeError("called from inside another call of the same loop closer")
+        with self._lock:
+            try:
+                self._owner = threading.get_ident()
+                self._take_back()
+                before = Checkpoint()
+                before.save_attributes(self, "history", "_tracker", "_camera")
+                before.save(self.history, self._tracker, self._selector, self._cloud_camera)
+                before.save(self._unsaved)
+                self._before = before
+                yield before
+                self._before = None
+                self._save()
+            except BaseException:
+                self._take_back()
+                raise
+            finally:
+                self._owner = None
+
+    def _take_back(self) -> None:
+        """Return to the state before a call that did not come to its end, if there was one."""
+        if self._before is not None:
+            self._before.restore()
+            self._before = None
+
+    def _save(self) -> None:
+        """Pass the records of new keyframes to the journal, oldest first."""
+        with self._clock.stage("save"):
+            while self._unsaved and self.journal is not None:
+                self.journal(self._unsaved[0])
+                del self._unsaved[0]
+
+    def _record(
         self,
         keyframe: Keyframe,
         frame: DepthFrame,
         unsaved: tuple[FramePose, ...],
         verified: Verified,
     ) -> None:
-        """Pass the record of a new keyframe to the journal."""
+        """Make the record of a new keyframe for the journal."""
         if self.journal is None:
             return
         with self._clock.stage("save"):
@@ -345,7 +432,7 @@ class LoopCloser:
                     "is_around": self._cloud_camera.is_around,
                 },
             )
-            self.journal(record)
+            self._unsaved.append(record)
 
 
 def _rotation_first(covariance: ArrayLike, frame_index: int) -> Array:

@@ -106,6 +106,8 @@ class MapDatabase:
 
     def close(self) -> None:
         """Close the file; after the last writer no other files are left beside it."""
+        if self._lock is not None and self._lock.is_forked():
+            return  # the file is another process's, which goes on writing
         if self._lock is not None:
             # Without WAL mode the map can be read from read-only media. SQLite cannot leave WAL
             # mode while another program has the file open; the map is complete in either mode.
@@ -199,6 +201,7 @@ class _WriterLock:
     """A lock file beside a map, held by the one program that writes to it."""
 
     def __init__(self, path: Path) -> None:
+        self._process_id = os.getpid()
         # Resolved, so that programs that use different symbolic links share one lock.
         self._file = Path(f"{path.resolve()}-lock")
         while True:
@@ -226,6 +229,10 @@ class _WriterLock:
             return os.path.samestat(self._written, path.stat())
         except FileNotFoundError:
             return False
+
+    def is_forked(self) -> bool:
+        """Return whether this is a fork of the process that holds the lock."""
+        return os.getpid() != self._process_id
 
     def release(self) -> None:
         """Remove the lock file, so that others can write."""

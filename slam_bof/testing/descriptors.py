@@ -11,14 +11,15 @@ from slam_bof.testing.scenery import blind, example_frames, expect
 
 __all__ = ["check_descriptor"]
 
-COMPARISONS = ("bag", "cosine", "l1", "equal")
+LOCAL = ("bag", "hamming")
+COMPARISONS = (*LOCAL, "cosine", "l1", "equal")
 
 
 def check_descriptor(make: Callable[[], Descriptor]) -> None:
     """Check that a descriptor obeys its port.
 
-    The same frame gives the same rows; one that shows nothing gives none (``bag``) or one finite
-    row; a grey image is asked for where it is needed.
+    The same frame gives the same rows; one that shows nothing gives none (``bag`` and ``hamming``)
+    or one finite row; a grey image is asked for where it is needed.
 
     Parameters
     ----------
@@ -37,14 +38,14 @@ def check_descriptor(make: Callable[[], Descriptor]) -> None:
     expect(descriptor.comparison in COMPARISONS, f"comparison must be one of {COMPARISONS}")
     found = descriptor.describe(frame, gray)
     expect(found.ndim == 2 and len(found) > 0, f"rows (M, D) are expected, got {found.shape}")
-    is_bag = descriptor.comparison == "bag"
-    expect(is_bag or len(found) == 1, "one row describes the frame, unless it is a bag")
+    is_local = descriptor.comparison in LOCAL
+    expect(is_local or len(found) == 1, f"one row describes the frame, unless {LOCAL}")
     expect(found.dtype == np.uint8 or not descriptor.is_binary, "bits are packed in uint8")
     expect(np.array_equal(found, descriptor.describe(frame, gray)), "twice must give the same")
     nothing = descriptor.describe(blind(frame)[0], np.zeros_like(gray))
     expect(
-        nothing.shape == (0 if is_bag else 1, found.shape[1]),
-        f"a blind frame must give {0 if is_bag else 1} rows like the others, got {nothing.shape}",
+        nothing.shape == (0 if is_local else 1, found.shape[1]),
+        f"a blind frame must give {0 if is_local else 1} rows like the others, got {nothing.shape}",
     )
     expect(bool(np.isfinite(nothing).all()), "a blind frame must give finite values")
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from numbers import Real
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -150,8 +151,8 @@ class DepthFrame:
     Raises
     ------
     ValueError
-        If the size of the image differs from that of the intrinsics, or its type is neither
-        uint16 nor float.
+        If the size of the image differs from that of the intrinsics, its type is neither uint16
+        nor float, or the time is no number.
     """
 
     stamp_s: float
@@ -164,6 +165,10 @@ class DepthFrame:
 
     def __post_init__(self) -> None:
         """Check shape and type once, when the frame is made."""
+        if not isinstance(self.stamp_s, Real):
+            raise ValueError(f"stamp_s must be a number of seconds, got {self.stamp_s!r:.40}")
+        if not isinstance(self.depth, np.ndarray):
+            raise ValueError(f"depth must be a NumPy array, got a {type(self.depth).__name__}")
         expected = (self.intrinsics.height, self.intrinsics.width)
         if self.depth.shape != expected:
             raise ValueError(

@@ -1,3 +1,7 @@
+from .bof_figures import (
+    draw_bof as draw_bof,
+    draw_constellations as draw_constellations,
+)
 from .figures import (
     draw_precision_recall as draw_precision_recall,
 )

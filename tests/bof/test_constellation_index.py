@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from slam_bof.bof import ConstellationIndex, pack_constellation, unpack_constellation
+from slam_bof.bof import (
+    ConstellationIndex,
+    IndexParams,
+    pack_constellation,
+    unpack_constellation,
+)
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs, encode
 from slam_bof.bof.posting_lists import PostingLists, Postings
 
@@ -139,3 +144,20 @@ def test_lists_hold_all_postings_in_order():
         )
     assert len(held) < 8
     assert all((p.views == p.x).all() and (p.x[:, None] == p.phases).all() for p in held)
+
+
+def test_common_shapes_do_not_vote_where_votes_are_many(index):
+    """With a tenth of the votes, most views are found all the same; without any, none is."""
+    few = ConstellationIndex(IndexParams(max_votes=400))
+    none = ConstellationIndex(IndexParams(max_votes=1))
+    for seed in range(400):
+        few.add(view(seed))
+        none.add(view(seed))
+    found = 0
+    for place in range(0, 400, 20):
+        query = seen_again(view(place), 0.3, 0.2 + 0.1j, seed=place, share=0.8)
+        candidates = few.candidates(query, 10)
+        found += place in candidates
+        assert len(candidates) <= len(index.candidates(query, 10))
+        assert len(none.candidates(query, 10)) == 0
+    assert found >= 12

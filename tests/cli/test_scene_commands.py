@@ -65,6 +65,21 @@ def test_train_searches_and_prints(boxes: Path, tmp_path: Path) -> None:
     assert "Training: 3/3" in result.stderr
 
 
+def test_train_learns_words_without_labels(boxes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "words.bof"
+    paths = [p for label in SIZES_M for p in ("--unlabelled", boxes / label / "seq-01")]
+    result = slam_bof("train", *paths, "-o", out, "--rounding", "nearest", *QUICK, "--json")
+    assert result.exit_code == 0, result.output
+    trained = model.load(out)
+    assert json.loads(result.stdout)["content_sha256"] == trained.content_hash
+    assert trained.bag_classifier is None
+    assert trained.labeller() is None
+    assert trained.places.layers.n_images == 21
+    assert trained.vocabulary.n_words == len(trained.tf_idf.idf_)
+    assert "expected it alone" in refusal("train", *paths, *labels(boxes), "-o", out)
+    assert "cannot train on" in refusal("train", *paths, "-o", out, "--words", 100_000)
+
+
 def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path: Path) -> None:
     table = tmp_path / "labels.csv"
     table.write_text("".join(f"{boxes / label}/seq-01,{label}\n" for label in SIZES_M))

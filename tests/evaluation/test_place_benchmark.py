@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from slam_bof.cli import app
 from slam_bof.core import registry
-from slam_bof.evaluation.place_methods import row_similarities
+from slam_bof.evaluation.place_methods import hamming_similarities, row_similarities
 
 N_ROUND = 12
 
@@ -82,7 +82,7 @@ def refusal(*arguments):
 
 
 def test_bad_input_is_one_line(twice_round, tmp_path):
-    assert "no descriptors plug-in 'surf'; installed: bof, bof-layers, f" in refusal(
+    assert "no descriptors plug-in 'surf'; installed: bof, bof-" in refusal(
         twice_round, "--descriptors", "surf"
     )
     few = refusal(twice_round, "--descriptors", "bof", "--train", twice_round, "--words", 100000)
@@ -92,6 +92,18 @@ def test_bad_input_is_one_line(twice_round, tmp_path):
     for file in twice_round.glob("*.depth.png"):
         (blind / file.name).write_bytes(file.read_bytes())
     assert "room/seq-02: found no ground truth" in refusal(blind)
+
+
+def test_likeness_of_codes():
+    one, other, none = (
+        np.array(rows, np.uint8).reshape(-1, 2) for rows in ([[255, 0]], [[255, 1], [0, 0]], [])
+    )
+    scores = hamming_similarities([one, none, other])
+    assert scores.tolist() == [
+        [1.0, 0.0, pytest.approx(15 / 16)],
+        [0.0, 0.0, 0.0],
+        [pytest.approx((15 / 16 + 8 / 16) / 2), 0.0, 1.0],
+    ]
 
 
 def test_likeness_of_rows():

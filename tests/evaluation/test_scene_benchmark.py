@@ -76,6 +76,21 @@ def test_methods_learn_the_same_and_are_judged_on_the_same(scenes: Path, tmp_pat
     assert all(cv2.imread(str(picture)) is not None for picture in pictures)
 
 
+def test_a_grid_search_chooses_on_the_training_frames_alone(scenes: Path) -> None:
+    split = split_officially([(label, scenes / label) for label in SIZES_M], every=2)
+    (result,), left_out = compare_methods(split, make_methods(["bof:grid"], n_words=8))
+    assert not left_out
+    chosen = result.svm_params
+    assert chosen is not None
+    assert str(chosen).startswith(f"{chosen.name}, C {chosen.C:g}")
+    # The same split with other test frames leads to the same choice.
+    other = Split(split.train, split.test[::5] + split.train[::7])
+    (again,), _ = compare_methods(other, make_methods(["bof:grid"], n_words=8))
+    assert again.svm_params == chosen
+    with pytest.raises(DatasetError, match="grid search is for bags of words, got thumbnail:grid"):
+        make_methods(["thumbnail:grid"])
+
+
 def test_a_class_that_was_never_trained_with_counts_as_wrong(scenes: Path) -> None:
     frames = [f for label in SIZES_M for f in frames_of(open_labelled(label, scenes / label))]
     known = [f for f in frames if f.label != "store"]

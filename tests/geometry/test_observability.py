@@ -37,7 +37,7 @@ def pair(scene, sensor="white"):
 
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize(
-    ("scene", "n_open"), [("wall", 3), ("floor", 3), ("corner", 1), ("room", 0)]
+    ("scene", "n_open"), [("wall", 3), ("floor", 3), ("corner", 1), ("corridor", 1), ("room", 0)]
 )
 def test_directions_are_open_that_the_scene_leaves_open(scene, n_open, sensor):
     aligner, T = pair(scene, sensor)

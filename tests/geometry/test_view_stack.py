@@ -57,6 +57,45 @@ def test_each_view_is_looked_at(views):
     np.testing.assert_array_equal(depths_m, np.repeat([[2.0], [3.0]], 30, axis=1))
 
 
+def side_wall(camera):
+    """A wall 1 m to the right, along the view."""
+    column = np.arange(camera.width) - camera.cx
+    depth = np.zeros((camera.height, camera.width), np.float32)
+    depth[:, column > 0] = camera.fx / column[column > 0]
+    return DepthView(depth, np.zeros((*depth.shape, 3), np.float32), camera)
+
+
+def test_depth_between_pixels_is_that_of_a_wall_at_a_grazing_angle():
+    camera = Intrinsics(40, 6, 70.0, 70.0, 10.0, 2.4)
+    views = ViewStack(30)
+    views.add(side_wall(camera))
+    points = np.array([[1.0, 0.0, z] for z in np.linspace(2.6, 20.0, 40)], np.float32)
+    projected = views.project_points(points, poses(STAND))
+    depths_m, _ = views.interpolated_depth_at(np.array([0]), projected)
+    assert depths_m[0] == pytest.approx(points[:, 2], rel=1e-4)
+    nearest_m, _ = views.depth_at(np.array([0]), projected)
+    assert np.abs(nearest_m[0] - points[:, 2]).max() > 1.0
+
+
+def test_depth_at_an_edge_is_that_of_the_nearest_pixel_s_surface(views):
+    points = np.array([[(6 + share - CAMERA.cx) / CAMERA.fx * 2.0, 0.0, 2.0] for share in (0, 0.4)])
+    projected = views.project_points(points.astype(np.float32), poses(STAND))
+    depths_m, _ = views.interpolated_depth_at(np.array([0]), projected)
+    np.testing.assert_allclose(depths_m, 2.0, rtol=1e-6)
+
+
+def test_a_pixel_on_no_surface_has_no_depth_between_pixels():
+    depth = np.full((CAMERA.height, CAMERA.width), 2.0, np.float32)
+    depth[2, 3] = 1.0
+    views = ViewStack(30)
+    views.add(DepthView(depth, np.zeros((*depth.shape, 3), np.float32), CAMERA))
+    x = np.array([(column - CAMERA.cx) / CAMERA.fx for column in (2, 3)])
+    points = np.stack([x, np.full(2, (2 - CAMERA.cy) / CAMERA.fy), np.ones(2)], axis=1)
+    projected = views.project_points(points.astype(np.float32), poses(STAND))
+    depths_m, _ = views.interpolated_depth_at(np.array([0]), projected)
+    np.testing.assert_allclose(depths_m, [[2.0, 0.0]])
+
+
 def test_own_points_fall_as_shared_ones_do(views):
     T = poses(STAND, [0.0, 0.1, 0.0, 0.2, 0.0, 0.1])
     shared = views.project_points(views.sampled(1), T)

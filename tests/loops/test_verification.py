@@ -160,3 +160,30 @@ def test_a_neighbour_with_open_directions_is_a_partial_edge():
     judged, (edge,) = verify(CentroidVerifier(n_open=1), candidate)
     assert judged.decision == "accepted"
     assert judged.kind == edge.kind == "partial"
+
+
+class RecordingVerifier(CentroidVerifier):
+    """Notes of every pair whether it came with an initial pose."""
+
+    def verify(self, query, matches, *, T_match_query=None, seed=0):
+        self.guessed = [
+            *getattr(self, "guessed", []),
+            *([T_match_query is not None] * len(matches)),
+        ]
+        return super().verify(query, matches)
+
+
+@pytest.mark.parametrize(
+    ("when", "decision", "n_global"),
+    [("if_needed", "", 0), ("always", "", 1), ("always", "accepted", 0)],
+)
+def test_open_candidates_are_registered_without_a_guess_if_always_asked(when, decision, n_global):
+    verifier = RecordingVerifier()
+    params = ALONE.model_copy(update={"global_registration": when})
+    verification = LoopVerification(verifier, params)
+    for _ in range(3):
+        verification.add(UNSEEN, np.array([[0.0, 0.0, 1.0]]))
+    found = verification.verify([candidate(decision=decision)], STAND)
+    assert len(found.admitted) == 1
+    assert verifier.guessed == [n_global == 0]
+    assert verification.n_global_registrations == n_global

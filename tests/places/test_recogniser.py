@@ -166,3 +166,12 @@ def test_a_temporary_query_is_removed_after_an_error(tour):
         raise RuntimeError
     assert len(recogniser) == len(frames)
     assert recogniser.recognise(12, N_ROUND)[0].view_id == 1
+
+
+@pytest.mark.parametrize(("at", "value"), [((0, 3), np.nan), ((3, 0), 0.5), ((0, 0), 3.0)])
+def test_a_pose_that_is_none_is_refused(tour, at, value):
+    recogniser, T = PlaceRecogniser(), np.eye(4)
+    T[at] = value
+    with pytest.raises(ValueError, match="found"):
+        recogniser.add(tour[0][0], T)
+    assert recogniser.add(tour[0][0], np.eye(4)) == 0

@@ -43,6 +43,16 @@ def test_the_same_scene_is_proposed_first(n_voted):
     assert abs(found.motions.yaw[0]) + abs(found.motions.shift[0]) < 0.02
 
 
+@pytest.mark.parametrize("by", ["constellation", "panorama"])
+def test_either_method_proposes_by_itself(by):
+    index = ViewIndex(ViewIndexParams(by=by, n_compared=10))
+    hold(index, [*range(0, N), N + 7])
+    found = index.propose(N + 7, N, 5)
+    assert found.view_ids[0] == 7
+    moved = np.abs(found.motions.yaw) + np.abs(found.motions.shift)
+    assert (moved[1:] > 0).any() == (by == "constellation")
+
+
 def test_only_views_below_and_not_left_out_are_proposed(index):
     found = index.propose(58, 40, 100, exclude=np.array([4, 6]))
     assert set(found.view_ids.tolist()) == set(range(0, 40, 2)) - {4, 6}

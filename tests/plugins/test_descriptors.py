@@ -6,7 +6,9 @@ from conftest import CAMERA, box_room_depth_mm
 from slam_bof.bof import PlaceParams, descriptors
 from slam_bof.core import registry
 from slam_bof.geometry import se3
+from slam_bof.testing import check_descriptor
 from slam_bof.types import DepthFrame
+from slam_bof_plugins.descriptor_bof import BofFernDescriptor, BofFernParams
 
 FRAME = DepthFrame(0.0, box_room_depth_mm(CAMERA, np.eye(4)), CAMERA)
 
@@ -46,6 +48,18 @@ def test_ferns_ask_the_same_questions_for_a_seed():
     )
     np.testing.assert_array_equal(first, again)
     assert (first != other).any()
+
+
+def test_ferns_on_bof_are_one_bit_for_each_radius():
+    ferns = BofFernDescriptor(BofFernParams(seed=3))
+    codes = np.unpackbits(ferns.describe(FRAME, None), axis=1)[:, :180]
+    radii = descriptors(FRAME, PlaceParams())
+    assert codes.shape == radii.shape
+    # Within a column all share a threshold: whatever has a 1 is larger than whatever has a 0.
+    smallest_of_ones = np.where(codes == 1, radii, np.inf).min(axis=0)
+    assert (smallest_of_ones > np.where(codes == 0, radii, -np.inf).max(axis=0)).all()
+    assert 0.2 < codes.mean() < 0.8
+    check_descriptor(lambda: BofFernDescriptor(BofFernParams()))
 
 
 def stripes(angle, cycles):

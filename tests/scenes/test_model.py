@@ -22,6 +22,7 @@ from slam_bof.scenes import (
     model as models,
 )
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES
+from slam_bof.scenes.labeller import BagLabeller
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 from slam_bof.synthetic import ROOM_KINDS, messy_views, training_views
 
@@ -107,6 +108,9 @@ def test_what_labels_levelled_views_is_kept_as_arrays(tmp_path, levelled):
     assert found.label == expected.label == "b"
     np.testing.assert_array_equal(found.probabilities, expected.probabilities)
     assert loaded.labeller() is loaded.levelled_classifier
+    assert isinstance(loaded.labeller("bag"), BagLabeller)
+    with pytest.raises(ModelError, match="found no classifier of bags, expected one"):
+        replace(loaded, bag_classifier=None).labeller("bag")
     models.save(loaded, tmp_path / "again.bof")
     assert (tmp_path / "again.bof").read_bytes() == (tmp_path / "test.bof").read_bytes()
 

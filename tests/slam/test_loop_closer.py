@@ -152,3 +152,26 @@ def test_the_covariance_of_a_keyframe_adds_up_since_the_one_before(look, standpo
     assert variances[3:] == pytest.approx(n_frames * 4e-10, rel=0.01)
     saved = closer.history.frames[second.frame_index].step_covariance
     assert saved is second.step_covariance
+
+
+def test_the_papers_preset_closes_loops_by_ransac_and_labels_by_bags(look, standpoint):
+    x, y = standpoint
+    turns = [
+        np.array([[np.sin(a), 0, np.cos(a), x], [-np.cos(a), 0, np.sin(a), y], [0, -1, 0, 1.3]])
+        for a in np.r_[0.0:2.0:0.1, 0.0:1.0:0.1]
+    ]
+    poses = [np.vstack([top, [0, 0, 0, 1]]) for top in turns]
+    closer = LoopCloser.from_preset("paper")
+    candidates = []
+    for k, T in enumerate(poses):
+        frame = replace(look(T, k), stamp_s=k / 5)
+        candidates += closer.process(frame, se3.inverse(poses[0]) @ T).candidates
+    between = [c for c in candidates if not np.isnan(c.rmse_m) and c.eta <= 3.0]
+    assert closer.map.n_global_registrations == len(between) > 0
+    loops = closer.map.loops
+    assert len(loops) > 2
+    for loop in loops:
+        truth = se3.inverse(poses[loop.match_id]) @ poses[loop.query_id]
+        assert np.linalg.norm((loop.T_match_query - truth)[:3, 3]) < 0.02
+    classes = models.resolve().bag_classifier.classes_
+    assert closer.map.keyframes[-1].scene.classes == tuple(classes)
