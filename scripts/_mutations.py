@@ -81,7 +81,8 @@ def mutate_text(text: str, rng: random.Random) -> str:
         if rng.random() < 0.3:
             rng.shuffle(lines)
         return "".join(lines)
-    return mutate_bytes(text.encode(), rng).decode(errors="surrogateescape")
+    data = text.encode(errors="surrogateescape")
+    return mutate_bytes(data, rng).decode(errors="surrogateescape")
 
 
 def mutate_array(data: bytes, rng: random.Random) -> bytes:
