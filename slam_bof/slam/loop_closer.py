@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
-from slam_bof.errors import FrameError
 from slam_bof.geometry import (
     CloudCamera,
     quantize_depth,
@@ -22,6 +21,7 @@ from slam_bof.geometry import (
 )
 from slam_bof.slam.background import BackgroundMapping
 from slam_bof.slam.config import Config, preset, resolve
+from slam_bof.slam.frame_checks import FrameChecks, checked_pose, rotation_first
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.slam.mapping import DirectMapping, KeyframeJob, Mapping, MapUpdate
@@ -31,7 +31,6 @@ from slam_bof.types import (
     Array,
     DepthFrame,
     FramePose,
-    Intrinsics,
     Keyframe,
     KeyframeRecord,
     Pose,
@@ -42,9 +41,6 @@ from slam_bof.types import (
 
 __all__ = ["Journal", "LoopCloser"]
 
-MAX_JUMP_S = 86_400.0
-"""A stamp farther ahead of the last than this is broken, unless the next frame confirms it."""
-
 Journal = Callable[[KeyframeRecord], None]
 """Called with the record of each new keyframe to save it, such as ``MapWriter.write``. What it
 raises ends the call of the loop closer, which has processed the frame all the same; the record
@@ -52,7 +48,7 @@ comes again before that of the next keyframe, and at the end."""
 
 
 FIELDS = (
-    *("history", "n_postponed", "_tracker", "_camera", "_session"),
+    *("history", "n_postponed", "_tracker", "_session"),
     *("_newest", "_chosen", "_T_map_track", "_updates", "_last"),
 )
 """Attributes of a loop closer that refer to other objects after a call."""
@@ -96,8 +92,7 @@ class LoopCloser:
         mapping = BackgroundMapping if background else DirectMapping
         self._mapping: Mapping = mapping(config, self._clock)
         self._map = self._mapping.map
-        self._camera: Intrinsics | None = None
-        self._refused_stamp_s = -np.inf
+        self._checks = FrameChecks()
         self._session = 0
         self._newest: Keyframe | None = None
         self._chosen: _Chosen | None = None
@@ -205,8 +200,9 @@ class LoopCloser:
     ) -> Step:
         """Process a frame; ``before`` is the state to return to if that fails."""
         frame_index = len(self.history)
-        step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
-        frame, T_odom_camera = self._check(frame, T_odom_camera)
+        step_covariance = None if covariance is None else rotation_first(covariance, frame_index)
+        T_odom_camera = checked_pose(T_odom_camera, frame_index, frame.stamp_s)
+        frame = self._checks.check(frame, self.history.last_stamp_s)
         frame = quantize_depth(frame.corrected(self.sensor))
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera, step_covariance)
@@ -281,13 +277,13 @@ class LoopCloser:
             If the points are not (N, 3).
         """
         with self._whole() as before:
-            T_odom_camera = self._check_pose(stamp_s, T_odom_camera)
-            has_camera = self._camera is not None
+            T_odom_camera = checked_pose(T_odom_camera, len(self.history), stamp_s)
+            has_camera = self._checks.camera is not None
             frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
             T_odom_view, T_view_camera = T_odom_camera @ T_camera_view, se3.inverse(T_camera_view)
             step = self._process(before, frame, T_odom_view, None, T_view_camera)
             if not has_camera and not frame.depth.any():
-                self._camera = None  # the cloud was empty, so the next camera counts as the first
+                self._checks.camera = None  # of an empty cloud; the next counts as the first
             return step
 
     def finish(self) -> Trajectory:
@@ -331,7 +327,7 @@ class LoopCloser:
         for record in records:
             while self._map.session < record.keyframe.session:
                 self._begin_session()
-            self._camera = record.depth.intrinsics
+            self._checks.camera = record.depth.intrinsics
             self.history.frames.extend(record.frames)
             self._map.replay(record)
             self._newest = record.keyframe
@@ -436,43 +432,6 @@ class LoopCloser:
         is_own = newest is not None and newest.session == self._session
         return newest.frame_index + 1 if newest is not None and is_own else 0
 
-    def _check(self, frame: DepthFrame, T_odom_camera: Pose) -> tuple[DepthFrame, Pose]:
-        """Check the input of ``process``; return it by the first frame's camera, and as float64."""
-        self._check_stamp(frame.stamp_s)
-        camera = self._camera or frame.intrinsics
-        if not frame.intrinsics.is_close(camera):
-            raise FrameError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
-        if frame.intrinsics != camera:
-            frame = replace(frame, intrinsics=camera)
-        T_odom_camera = self._check_pose(frame.stamp_s, T_odom_camera)
-        self._camera = camera
-        return frame, T_odom_camera
-
-    def _check_pose(self, stamp_s: float, T_odom_camera: ArrayLike) -> Pose:
-        """Check the pose of the next frame; return a copy of it as float64."""
-        try:
-            T = np.array(T_odom_camera, dtype=np.float64)
-            if T.shape == (3, 4):
-                raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
-            se3.check_rigid(T)
-        except (TypeError, ValueError) as error:
-            place = f"T_odom_camera of frame {len(self.history)}, at {stamp_s} s"
-            raise FrameError(f"{place}: {error}") from None
-        T[3] = se3.LAST_ROW
-        return T
-
-    def _check_stamp(self, stamp_s: float) -> None:
-        """Refuse a stamp that does not increase, or a jump that no frame before confirms."""
-        last_s, refused_s = self.history.last_stamp_s, self._refused_stamp_s
-        if not last_s < stamp_s < np.inf:
-            raise FrameError(f"time stamps must increase, got {stamp_s} s after {last_s} s")
-        is_confirmed = 0.0 < stamp_s - refused_s <= MAX_JUMP_S
-        if last_s > -np.inf and stamp_s - last_s > MAX_JUMP_S and not is_confirmed:
-            self._refused_stamp_s = stamp_s
-            raise FrameError(
-                f"time stamps must be in seconds, got {stamp_s} s more than a day after {last_s} s"
-            )
-
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""
         chosen = self._chosen
@@ -508,6 +467,7 @@ class LoopCloser:
         """Return the present state, to which ``_take_back`` returns."""
         before = Checkpoint()
         before.save_attributes(self, *FIELDS)
+        before.save_attributes(self._checks, "camera")
         before.save(self.history, self._tracker, self._selector, self._cloud_camera)
         before.save(self._updates, self._unsaved)
         self._before = before
@@ -562,18 +522,3 @@ class LoopCloser:
             "detector": None,
             "is_around": self._cloud_camera.is_around,
         }
-
-
-def _rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
-    """Check a covariance in the order of ``nav_msgs/Odometry``; return it with rotation first."""
-    found = np.asarray(covariance, dtype=np.float64)
-    place = f"covariance of frame {frame_index}"
-    if found.size != 36:
-        raise FrameError(f"{place}: found an array {found.shape}, expected (6, 6)")
-    found = found.reshape(6, 6)
-    if not np.isfinite(found).all() or np.abs(found - found.T).max() > 1e-6 * np.abs(found).max():
-        raise FrameError(f"{place}: expected 36 finite numbers, symmetric")
-    if np.linalg.eigvalsh(found)[0] < -1e-9 * max(float(np.trace(found)), 1e-30):
-        raise FrameError(f"{place}: expected no negative variance in any direction")
-    order = [3, 4, 5, 0, 1, 2]
-    return np.asarray(found[np.ix_(order, order)])

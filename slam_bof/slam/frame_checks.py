@@ -1,0 +1,80 @@
+"""What a loop closer refuses at its door, and how it says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from slam_bof.errors import FrameError
+from slam_bof.geometry import se3
+from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
+
+__all__ = ["FrameChecks", "checked_pose", "rotation_first"]
+
+MAX_JUMP_S = 86_400.0
+"""A stamp farther ahead of the last than this is broken, unless the next frame confirms it."""
+
+
+class FrameChecks:
+    """Checks each frame against those before: they are of one camera, and time goes on.
+
+    ``camera`` has the intrinsics of the first frame, None before it.
+    """
+
+    def __init__(self) -> None:
+        self.camera: Intrinsics | None = None
+        self._refused_stamp_s = -np.inf
+
+    def check(self, frame: DepthFrame, last_stamp_s: float) -> DepthFrame:
+        """Return the frame with the camera of the first frame; ``FrameError`` if it does not fit.
+
+        ``last_stamp_s`` is the stamp of the frame before, minus infinity if there is none.
+        """
+        self._check_stamp(frame.stamp_s, last_stamp_s)
+        camera = self.camera or frame.intrinsics
+        if not frame.intrinsics.is_close(camera):
+            raise FrameError(f"frames must all be of {camera}, got one of {frame.intrinsics}")
+        self.camera = camera
+        return frame if frame.intrinsics == camera else replace(frame, intrinsics=camera)
+
+    def _check_stamp(self, stamp_s: float, last_s: float) -> None:
+        """Refuse a stamp that does not increase, or a jump that no frame before confirms."""
+        if not last_s < stamp_s < np.inf:
+            raise FrameError(f"time stamps must increase, got {stamp_s} s after {last_s} s")
+        is_confirmed = 0.0 < stamp_s - self._refused_stamp_s <= MAX_JUMP_S
+        if last_s > -np.inf and stamp_s - last_s > MAX_JUMP_S and not is_confirmed:
+            self._refused_stamp_s = stamp_s
+            raise FrameError(
+                f"time stamps must be in seconds, got {stamp_s} s more than a day after {last_s} s"
+            )
+
+
+def checked_pose(T_odom_camera: ArrayLike, frame_index: int, stamp_s: float) -> Pose:
+    """Return a copy of a pose as float64 (4, 4); ``FrameError`` if it is no rigid transform."""
+    try:
+        T = np.array(T_odom_camera, dtype=np.float64)
+        if T.shape == (3, 4):
+            raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
+        se3.check_rigid(T)
+    except (TypeError, ValueError) as error:
+        place = f"T_odom_camera of frame {frame_index}, at {stamp_s} s"
+        raise FrameError(f"{place}: {error}") from None
+    T[3] = se3.LAST_ROW
+    return T
+
+
+def rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
+    """Check a covariance in the order of ``nav_msgs/Odometry``; return it with rotation first."""
+    found = np.asarray(covariance, dtype=np.float64)
+    place = f"covariance of frame {frame_index}"
+    if found.size != 36:
+        raise FrameError(f"{place}: found an array {found.shape}, expected (6, 6)")
+    found = found.reshape(6, 6)
+    if not np.isfinite(found).all() or np.abs(found - found.T).max() > 1e-6 * np.abs(found).max():
+        raise FrameError(f"{place}: expected 36 finite numbers, symmetric")
+    if np.linalg.eigvalsh(found)[0] < -1e-9 * max(float(np.trace(found)), 1e-30):
+        raise FrameError(f"{place}: expected no negative variance in any direction")
+    order = [3, 4, 5, 0, 1, 2]
+    return np.asarray(found[np.ix_(order, order)])
