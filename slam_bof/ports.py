@@ -232,12 +232,14 @@ class Backend(Protocol):
 class ContractingBackend(Backend, Protocol):
     """A pose graph that can let go of nodes, so that it does not grow where nothing is new."""
 
-    def contract(self, anchors: Mapping[int, int], max_edges: int) -> None:
+    def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
         """Remove nodes (keys), each of which becomes fixed to another (values).
 
         What was measured between a removed node and others is composed with its pose at the anchor
         and becomes an edge of the anchor, up to ``max_edges`` for a node. ``optimize`` returns
         weights of all loops ever added; those of removed nodes keep theirs.
+
+        Returns ``T_anchor_node`` (n, 4, 4) of the removed nodes.
         """
 
 

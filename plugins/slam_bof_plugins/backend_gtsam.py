@@ -41,6 +41,9 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 STEP_FLOOR = 1e-4
 """Smallest standard deviation of a step, in rad and m: smaller ones make the equations singular."""
 
+MAX_GAIN = 10.0
+"""Largest information of an edge that was averaged, in terms of an average loop's."""
+
 
 class GtsamParams(Params):
     """Noise of the odometry per step between keyframes, and of an average loop."""
@@ -165,28 +168,33 @@ class GtsamBackend:
                 self._steps[key] = step._replace(measured=motion)
         self._start_afresh(gtsam.ISAM2Params())
 
-    def contract(self, anchors: Mapping[int, int], max_edges: int) -> None:
-        """Contract nodes into their anchors, and start iSAM2 afresh with what stays."""
+    def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
+        """Contract nodes into their anchors, and start iSAM2 afresh with what stays.
+
+        Before the nodes are fixed for good, the loops that waited for the end have their say.
+        """
+        self._estimate = optimized(self._graph(), self._estimate, self.params.n_updates)
         kept = [self._loops[k] for k in self._kept()]
+        gone = attach(self._estimate, anchors, kept, self.params.loop_sigma)
         contraction = Contraction(
-            attach(self._estimate, anchors, kept, self.params.loop_sigma), max_edges
+            gone,
+            self._settled,
+            max_edges=max_edges,
+            max_trace=MAX_GAIN * 6.0 / self.params.loop_sigma**2,
         )
-        untouched = {k: loop for k, loop in self._loops.items() if not contraction.touches(loop[0])}
-        for edge, _ in [*untouched.values(), *self._settled]:
-            if not contraction.touches(edge):
-                contraction.stay(edge)
         self._steps = contraction.steps(self._steps.values(), self._estimate)
-        touched = [loop for loop in self._settled + kept if contraction.touches(loop[0])]
-        for edge, noise in touched:
-            contraction.compose(edge, noise)
-        self._settled = [
-            loop for loop in self._settled if not contraction.touches(loop[0])
-        ] + contraction.composed
-        self._loops = untouched
+        for edge, noise in kept:
+            if contraction.touches(edge):
+                contraction.compose(edge, noise)
+        self._settled = contraction.settled
+        self._loops = {
+            k: loop for k, loop in self._loops.items() if not contraction.touches(loop[0])
+        }
         for key in anchors:
             self._estimate.erase(key)
             del self._nodes[key]
         self._start_afresh(gtsam.ISAM2Params())
+        return np.array([node.T_anchor_node.matrix() for node in gone.values()])
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.

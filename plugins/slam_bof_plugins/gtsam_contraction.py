@@ -3,8 +3,8 @@
 The reduced pose graph of Johannsson et al. (ICRA 2013): where a place is known well enough, its
 keyframes are not added for ever. A node that goes is taken to be fixed to its anchor where the map
 has the two now, and what was measured between it and other nodes is composed with that pose and
-becomes an edge of the anchor. Odometry stays a tree. Of other edges, a pair of nodes keeps the
-first, and a node not more than a given number.
+becomes an edge of the anchor. Odometry stays a tree. Other edges between the same two nodes are
+averaged, and a node keeps not more of them than a given number.
 """
 
 from __future__ import annotations
@@ -54,23 +54,41 @@ def attach(
 
 
 class Contraction:
-    """Collects the edges of a graph as nodes go to their anchors.
+    """Collects the edges that nodes leave behind as they go to their anchors.
 
     Parameters
     ----------
     gone
         The nodes that go.
+    settled
+        The edges that were left behind before.
     max_edges
-        Largest number of edges of a node, odometry not counted, when one is composed.
+        Largest number of settled edges of a node.
+    max_trace
+        Largest trace of the information of a settled edge: the errors of edges that are averaged
+        are not independent.
     """
 
-    def __init__(self, gone: Mapping[int, Attachment], max_edges: int) -> None:
-        self.composed: list[Noisy] = []
-        """The edges that nodes leave behind."""
+    def __init__(
+        self,
+        gone: Mapping[int, Attachment],
+        settled: Iterable[Noisy],
+        *,
+        max_edges: int,
+        max_trace: float,
+    ) -> None:
         self._gone = gone
         self._max_edges = max_edges
-        self._pairs: set[frozenset[int]] = set()
+        self._max_trace = max_trace
+        self._settled: dict[frozenset[int], Noisy] = {}
         self._n_edges: Counter[int] = Counter()
+        for edge, noise in settled:
+            self._add(*self._composed(edge, noise))
+
+    @property
+    def settled(self) -> list[Noisy]:
+        """The edges that nodes have left behind, at most one between two nodes."""
+        return list(self._settled.values())
 
     def touches(self, edge: Edge) -> bool:
         """Return whether a node of an edge goes."""
@@ -93,28 +111,29 @@ class Contraction:
                 staying[step.node] = Step(*edge, noise, step.is_lost)
             elif not step.is_lost:
                 ending.append((edge, noise))
-        linked = {frozenset(step[:2]) for step in staying.values()}
+        linked = {frozenset(step[:2]) for step in staying.values()} | self._settled.keys()
         for edge, noise in ending:
             if frozenset(edge[:2]) not in linked:
                 self._add(edge, noise)
         return staying
 
-    def stay(self, edge: Edge) -> None:
-        """Count an edge that stays as it is."""
-        self._pairs.add(frozenset(edge[:2]))
-        self._n_edges.update(edge[:2])
-
     def compose(self, edge: Edge, noise: Noise) -> None:
-        """Add an edge between where its nodes go, if there is room for it."""
+        """Add an edge between where its nodes go, if there is room, or average it with another."""
         edge, noise = self._composed(edge, noise)
-        if all(self._n_edges[node] < self._max_edges for node in edge[:2]):
+        if frozenset(edge[:2]) in self._settled or all(
+            self._n_edges[node] < self._max_edges for node in edge[:2]
+        ):
             self._add(edge, noise)
 
     def _add(self, edge: Edge, noise: Noise) -> None:
         pair = frozenset(edge[:2])
-        if len(pair) == 2 and pair not in self._pairs:
-            self.composed.append((edge, noise))
-            self.stay(edge)
+        if len(pair) < 2:
+            return
+        if pair in self._settled:
+            self._settled[pair] = _mean(self._settled[pair], (edge, noise), self._max_trace)
+        else:
+            self._settled[pair] = edge, noise
+            self._n_edges.update(pair)
 
     def _composed(self, edge: Edge, noise: Noise) -> Noisy:
         """Return the edge between where its nodes go."""
@@ -149,3 +168,18 @@ def _in_series(of_first: Array, T_second: gtsam.Pose3, of_second: Array) -> Arra
     first = _moved(of_first, T_second)
     both = of_second - of_second @ np.linalg.solve(first + of_second, of_second)
     return np.asarray((both + both.T) / 2)
+
+
+def _mean(first: Noisy, second: Noisy, max_trace: float) -> Noisy:
+    """Return the mean of two edges between the same nodes, weighted by information."""
+    edge, information = first[0], first[1].information()
+    T, weight = second[0].measured, second[1].information()
+    if second[0].match != edge.match:
+        T = T.inverse()
+        weight = _moved(weight, T)
+    total = information + weight
+    apart = gtsam.Pose3.Logmap(edge.measured.between(T))
+    step = np.linalg.lstsq(total, weight @ apart, rcond=None)[0]
+    total *= min(1.0, max_trace / np.trace(total))
+    measured = edge.measured.compose(gtsam.Pose3.Expmap(step))
+    return edge._replace(measured=measured), Noise.Information((total + total.T) / 2)

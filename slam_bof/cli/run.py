@@ -6,6 +6,7 @@ import json
 import shlex
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -42,11 +43,13 @@ SUMMARY = (
 
 
 def run(
-    sequence: Annotated[
-        Path | None,
+    sequences: Annotated[
+        list[Path] | None,
         typer.Argument(
+            metavar="SEQUENCE...",
             help="Folder of a sequence of depth images, or a .bag or .sens file. With --resume it "
-            "may be left out if the data are where they were."
+            "may be left out if the data are where they were. Several sequences are run one by "
+            "one, each in a folder of its own.",
         ),
     ] = None,
     out: OUT = Path("runs"),
@@ -89,6 +92,9 @@ def run(
     z_up: Annotated[
         bool, typer.Option("--z-up", help="Write map.ply in a frame with z up, 0 on the floor.")
     ] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=1, help="Number of sequences run at a time.")
+    ] = 1,
     view: Annotated[
         str | None,
         typer.Option(
@@ -102,6 +108,10 @@ def run(
     """Run the mini-SLAM over a sequence; write trajectory, loops, labels and map to a folder."""
     from slam_bof.slam import config as configs
 
+    sequence = sequences[0] if sequences else None
+    if sequences and len(sequences) > 1 and (resume is not None or map_ is not None):
+        option = "--map" if resume is None else "--resume"
+        raise typer.BadParameter(f"found {len(sequences)} sequences with {option}, expected one")
     if resume is not None:
         given = {
             "--map": map_ is not None,
@@ -136,9 +146,24 @@ def run(
     values: dict[str, Any] = {"model": model, "seed": seed}
     if dataset is not None:
         values["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
+    chosen = chosen.model_copy(update={k: v for k, v in values.items() if v is not None})
+    if sequences and len(sequences) > 1:
+        _run_many(
+            sequences,
+            chosen,
+            out,
+            n_jobs=jobs,
+            frames=frames,
+            max_frames=max_frames,
+            with_color=color,
+            z_up=z_up,
+            quiet=quiet,
+            as_json=as_json,
+        )
+        return
     run_new(
         sequence,
-        chosen.model_copy(update={k: v for k, v in values.items() if v is not None}),
+        chosen,
         out,
         frames=frames,
         max_frames=max_frames,
@@ -183,6 +208,55 @@ def run_new(
             remarks=remarks,
         )
     _show(result, as_json=as_json)
+
+
+def _run_many(
+    sequences: list[Path],
+    config: Config,
+    out: Path,
+    *,
+    n_jobs: int,
+    frames: str | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Run sequences in folders of their own and print a table of all; exit with 1 if one failed."""
+    from slam_bof.cli.console import Bar, print_json, print_table
+    from slam_bof.run import run_sequences
+
+    open_ = partial(open_sequence, choice=config.dataset, frames=frames, quiet=True)
+    done = []
+    with Bar("Running sequences", quiet=quiet) as bar:
+        found = run_sequences(
+            sequences, open_, config, out, n_jobs=n_jobs, frames=frames, **options
+        )
+        for one in found:
+            done.append(one)
+            bar.show(len(done), len(sequences))
+    if as_json:
+        print_json(
+            [
+                {"sequence_path": str(one.sequence), "error": one.error}
+                if one.result is None
+                else {"folder": str(one.result.folder), **one.result.metrics}
+                for one in done
+            ]
+        )
+    else:
+        keys = ("ate_odometry_m", "ate_m", "n_loops", "n_keyframes", "n_components", "fps")
+        rows = [
+            (one.sequence, *map(one.result.metrics.get, keys), one.result.folder)
+            for one in done
+            if one.result is not None
+        ]
+        print_table(("sequence", *keys, "folder"), rows)
+    failed = [one for one in done if one.result is None]
+    for one in failed:
+        typer.echo(f"error: {one.error}", err=True)
+    if failed:
+        typer.echo(f"{len(failed)} of {len(done)} sequences failed", err=True)
+        raise typer.Exit(1)
 
 
 def _resume(

@@ -235,8 +235,9 @@ class KeyframeMap:
                 components=components,
                 guesses=found.guesses,
             )
-        self._add_loops(keyframe, verified.admitted)
-        self._culling.undecided.append(keyframe.id)
+        self._add_loops(verified.admitted)
+        if self._can_cull:
+            self._culling.undecided.append(keyframe.id)
         return verified
 
     def cull(self) -> tuple[tuple[int, int], ...]:
@@ -271,7 +272,7 @@ class KeyframeMap:
         loops = [loop for loop in record.measured if loop.kind == EdgeKind.LOOP]
         components = self.graph.components.in_use()
         self._verification.admit(loops, self.graph.T_map_camera, components)
-        self._add_loops(keyframe, record.admitted)
+        self._add_loops(record.admitted)
         self._let_go(dict(record.culled))
 
     def state(self) -> dict[str, Any]:
@@ -288,21 +289,26 @@ class KeyframeMap:
         self._culling.undecided = list(state.get("undecided", ()))
 
     def _let_go(self, anchors: dict[int, int]) -> None:
-        if not anchors:
+        if not anchors or not self.graph.can_cull:
             return
         self.graph.cull(anchors, self._config.map.max_edges)
         self._detector.remove(anchors)
         self._verification.remove(anchors)
+        self._follow_newest()
         for keyframe_id in anchors:
             self.keyframes[keyframe_id] = replace(self.keyframes[keyframe_id], bag=NO_WORDS)
 
-    def _add_loops(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
+    def _add_loops(self, loops: Iterable[Loop]) -> None:
         loops = list(loops)
         self._detector.on_loops_accepted(loops)
         with self._clock.stage("optimize"):
             self.graph.add_loops(loops)
-            newest = self.graph.T_map_camera[-1]
-            self.T_map_track = newest @ se3.inverse(keyframe.T_odom_camera)
+            self._follow_newest()
+
+    def _follow_newest(self) -> None:
+        """Correct the track by where the map has its newest keyframe."""
+        T_odom_camera = self.keyframes[-1].T_odom_camera
+        self.T_map_track = self.graph.T_map_camera[-1] @ se3.inverse(T_odom_camera)
 
     def _cloud_params(self, frame: DepthFrame) -> PointParams:
         """Return the parameters of the point cloud, limited to pixels that a saved map keeps."""

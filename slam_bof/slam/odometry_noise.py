@@ -64,6 +64,12 @@ class OdometryNoise:
             self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
             self._n_steps += 1
 
+    def forget(self, keyframe_id: int) -> None:
+        """Forget a keyframe that gets no further edges; what was learnt from it stays."""
+        self.T_odom_camera.pop(keyframe_id, None)
+        for other in self._neighbours.pop(keyframe_id, {}):
+            del self._neighbours[other][keyframe_id]
+
     def relative_sigmas(self) -> Array | None:
         """Return the standard deviation of a step of odometry, as a multiple of that of an edge.
 

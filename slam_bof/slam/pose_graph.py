@@ -49,7 +49,7 @@ class MapGraph:
         self._anchors = GrowingArray((), np.int64)
         self._T_anchor_keyframe = GrowingArray((4, 4), np.float64)
         self._path_m = GrowingArray((), np.float64)
-        self._keyframes: list[Keyframe] = []
+        self._keyframes: dict[int, Keyframe] = {}
         self._noise: dict[int, OdometryNoise] = {}
 
     @property
@@ -71,10 +71,9 @@ class MapGraph:
         """Add a node where odometry has it from the one before."""
         self.backend.add_keyframe(keyframe)
         self.components.add(keyframe.segment)
-        self._keyframes.append(keyframe)
+        self._keyframes[keyframe.id] = keyframe
         if keyframe.T_odom_raw is not None and keyframe.step_covariance is None:
-            noise = self._noise.setdefault(keyframe.session, OdometryNoise())
-            noise.add_keyframe(keyframe.id, keyframe.T_odom_raw)
+            self._noise_of(keyframe).add_keyframe(keyframe.id, keyframe.T_odom_raw)
         self.in_use = np.append(self.in_use, keyframe.id)
         self._T_map_camera.append(np.eye(4))
         self._anchors.append(keyframe.id)
@@ -95,18 +94,20 @@ class MapGraph:
     def cull(self, anchors: Mapping[int, int], max_edges: int) -> None:
         """Contract keyframes into their anchors (values), which stay; their poses follow these.
 
-        ``max_edges`` is the largest number of edges that an anchor inherits edges up to.
+        ``max_edges`` is the number of edges of a keyframe up to which it inherits those of others.
         """
         culled = list(anchors)
-        T = self._T_map_camera.rows
-        of_anchors = list(anchors.values())
-        self._T_anchor_keyframe.put(culled, se3.inverse(T[of_anchors]) @ T[culled])
-        self._anchors.put(culled, of_anchors)
+        if not culled:
+            return
         assert isinstance(self.backend, ContractingBackend)
-        self.backend.contract(anchors, max_edges)
+        self._T_anchor_keyframe.put(culled, self.backend.contract(anchors, max_edges))
+        self._anchors.put(culled, list(anchors.values()))
         self.components.cull(culled)
         self.log.cull(culled)
+        for keyframe_id in culled:
+            self._noise_of(self._keyframes.pop(keyframe_id)).forget(keyframe_id)
         self.in_use = self.in_use[~np.isin(self.in_use, culled)]
+        self._refresh()
 
     def optimize(self) -> None:
         """Optimise all of it; loops that contradict the rest move to those left out."""
@@ -168,9 +169,10 @@ class MapGraph:
         """Learn how precise odometry is from an edge of one uninterrupted track."""
         match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
         if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
-            noise = self._noise.get(query.session)
-            if noise is not None:
-                noise.add_edge(loop.match_id, loop.query_id, loop.T_match_query)
+            self._noise_of(query).add_edge(loop.match_id, loop.query_id, loop.T_match_query)
+
+    def _noise_of(self, keyframe: Keyframe) -> OdometryNoise:
+        return self._noise.setdefault(keyframe.session, OdometryNoise())
 
     def _choose_odometry(self) -> None:
         """Let the steps of each session be those of odometry if it is precise, or of tracking."""

@@ -286,7 +286,7 @@ class MapStore(MapDatabase):
         """Return the id (K,) of each keyframe, or that of its anchor if it was culled."""
         ((n,),) = self.select("SELECT count(*) FROM keyframes")
         anchors = np.arange(n)
-        for row in self.rows("culled", ""):
+        for row in self.rows("culled", "WHERE keyframe_id < ?", n):  # and anchors are older
             anchors[row["keyframe_id"]] = row["anchor_id"]
         return anchors
 

@@ -420,18 +420,36 @@ def test_wrong_loops_are_left_out_of_a_contracted_graph_too(twice_round):
     assert error_m(backend.poses()[:N], truth[:N]) < 0.1
 
 
+def contraction(gone):
+    return Contraction(gone, [], max_edges=10, max_trace=1e9)
+
+
 def test_covariances_of_composed_poses_add_up():
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([3.0, 3.0, 3.0, 0.3, 0.3, 0.3]))
     here = gtsam.Pose3()
-    gone = {1: Attachment(7, here, np.diag([1 / 16.0] * 3 + [1 / 0.16] * 3))}
-    contraction = Contraction(gone, 10)
-    contraction.compose(Edge(1, 2, here), noise)
-    contraction.compose(Edge(3, 1, here), noise)
-    for edge, composed in contraction.composed:
+    found = contraction({1: Attachment(7, here, np.diag([1 / 16.0] * 3 + [1 / 0.16] * 3))})
+    found.compose(Edge(1, 2, here), noise)
+    found.compose(Edge(3, 1, here), noise)
+    for edge, composed in found.settled:
         assert 7 in edge[:2]
         np.testing.assert_allclose(composed.covariance(), np.diag([25.0] * 3 + [0.25] * 3))
     wall = gtsam.noiseModel.Gaussian.Information(np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
-    contraction.compose(Edge(1, 4, here), wall)
-    information = contraction.composed[-1][1].information()
+    found.compose(Edge(1, 4, here), wall)
+    information = found.settled[-1][1].information()
     np.testing.assert_allclose(np.diag(information)[2:5], 0.0, atol=1e-12)
     assert np.diag(information)[0] == pytest.approx(1 / 17.0)
+
+
+def test_edges_between_the_same_nodes_are_averaged_by_information():
+    there = [gtsam.Pose3(gtsam.Rot3(), [x_m, 0.0, 0.0]) for x_m in (1.0, 1.3)]
+    certain, vague = (gtsam.noiseModel.Isotropic.Sigma(6, sigma) for sigma in (0.1, 0.2))
+    found = contraction({1: Attachment(7, gtsam.Pose3(), 1e12 * np.eye(6))})
+    found.compose(Edge(1, 2, there[0]), certain)
+    found.compose(Edge(2, 1, there[1].inverse()), vague)
+    ((edge, noise),) = found.settled
+    assert edge[:2] == (7, 2)
+    np.testing.assert_allclose(edge.measured.matrix()[:3, 3], [1.06, 0.0, 0.0], atol=1e-6)
+    assert noise.information()[3, 3] == pytest.approx(125.0, rel=1e-3)
+    limited = Contraction({}, found.settled, max_edges=10, max_trace=6.0)
+    limited.compose(Edge(7, 2, there[0]), certain)
+    assert np.trace(limited.settled[0][1].information()) == pytest.approx(6.0)

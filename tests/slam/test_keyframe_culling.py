@@ -246,6 +246,11 @@ def test_what_waits_is_decided_later_and_what_the_map_contradicts_is_kept():
     assert slipped not in culling.undecided
 
 
-def test_a_loop_with_bags_culls_nothing():
-    closer = LoopCloser.from_preset("paper")
+@pytest.mark.parametrize(
+    "config", [preset("paper"), override(CONFIG, ["map.cull=false"])], ids=["bags", "off"]
+)
+def test_nothing_is_culled_or_remembered_for_it_where_it_is_off(tour, config):
+    closer = LoopCloser.from_config(config)
+    closer.process(tour[0][0], tour[1][0])
     assert closer.map.cull() == ()
+    assert closer.map.state()["undecided"] == []

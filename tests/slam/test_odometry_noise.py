@@ -143,3 +143,22 @@ def test_frames_move_as_odometry_or_tracking_has_them_whichever_is_nearer_to_the
     for expected in (raw, tracked):
         poses = history.trajectory(keyframes, expected[at]).poses
         assert poses == pytest.approx(expected, abs=1e-9)
+
+
+def test_what_was_learnt_of_forgotten_keyframes_stays():
+    rng = np.random.default_rng(2)
+    truth = motion(rng)
+    odometry, edges = odometry_of(rng, truth, walk=(0.004, 0.008)), edges_of(rng, truth)
+    noises = OdometryNoise(), OdometryNoise()
+    for k, T in enumerate(odometry):
+        for noise in noises:
+            noise.add_keyframe(k, T)
+            for i, query, T_match_query in edges:
+                if query == k:
+                    noise.add_edge(i, query, T_match_query)
+        if k > REACH:
+            noises[1].forget(k - REACH)
+    assert sorted(noises[1].T_odom_camera) == [0, *range(N - REACH, N)]
+    np.testing.assert_array_equal(noises[0].relative_sigmas(), noises[1].relative_sigmas())
+    noises[1].add_edge(3, N - 1, np.eye(4))  # of a forgotten keyframe: says nothing
+    np.testing.assert_array_equal(noises[0].relative_sigmas(), noises[1].relative_sigmas())
