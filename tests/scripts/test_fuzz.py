@@ -16,9 +16,9 @@ FAULTS = ("implausible", "traceback", "crash", "hang", "memory")
 
 
 def test_no_reader_fails_on_broken_files() -> None:
-    """All readers but the slowest, which ``scripts/fuzz`` has too."""
-    readers = ["map", "model-inner", "config", "archive", "server", "sequence", "image"]
-    command = [sys.executable, str(FUZZ), "--json", "--cases", "300", "--seed", "7"]
+    """The readers that are quick to prepare; ``scripts/fuzz`` has more."""
+    readers = ["map", "config", "archive", "server", "sequence", "image"]
+    command = [sys.executable, str(FUZZ), "--json", "--cases", "150", "--seed", "7"]
     done = subprocess.run([*command, "--readers", *readers], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     rows = {row["reader"]: row for row in map(json.loads, done.stdout.splitlines())}
