@@ -33,7 +33,7 @@ READ = {
     "implausible": "raise AssertionError('far away')",
     "crash": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
     "hang": "import time; time.sleep(99)",
-    "memory": "bytes(3 << 30)",
+    "memory": "bytes(5 << 30)",
     "accepted": "pass",
 }
 
