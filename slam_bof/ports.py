@@ -7,7 +7,7 @@ declares them as a nested class ``Params`` (a ``slam_bof.types.Params``) and is 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -28,6 +28,7 @@ from slam_bof.types import (
 
 __all__ = [
     "Backend",
+    "ContractingBackend",
     "Dataset",
     "DatasetFormat",
     "Descriptor",
@@ -166,10 +167,13 @@ class Verifier(Protocol):
 
 @runtime_checkable
 class ForgettingVerifier(Verifier, Protocol):
-    """A verifier that stores what it prepares and can drop it again, for temporary queries."""
+    """A verifier that stores what it prepares and can drop it again.
+
+    This is for temporary queries and for keyframes that the map no longer uses.
+    """
 
     def forget(self, prepared: Any) -> None:
-        """Drop the data that were prepared last; raise ``ValueError`` for any other data."""
+        """Drop data that were prepared; raise ``ValueError`` if they are not stored."""
 
 
 @runtime_checkable
@@ -180,6 +184,22 @@ class Backend(Protocol):
         """Add a node, and an odometry factor between it and the node before it.
 
         At the start of a segment that factor is very weak, because odometry was lost in between.
+        """
+
+    def set_odometry(
+        self, T_odom_camera: Mapping[int, Pose], relative_sigmas: Array | None
+    ) -> None:
+        """Replace the odometry factors between nodes; it takes effect in the next ``optimize``.
+
+        Factors between segments stay as they are.
+
+        Parameters
+        ----------
+        T_odom_camera
+            The pose (4, 4) of each node by odometry.
+        relative_sigmas
+            (2,) standard deviations of the rotation and translation from one keyframe to the next,
+            as multiples of that of an average loop; None for those of ``add_keyframe``.
         """
 
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
@@ -202,10 +222,25 @@ class Backend(Protocol):
         """
 
     def poses(self) -> Array:
-        """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
+        """Return ``T_map_camera`` (n, 4, 4) of the nodes, in the order of their ids."""
 
     def write_g2o(self, path: Path) -> None:
         """Write the graph as a .g2o file, whose tangent vectors have the translation first."""
+
+
+@runtime_checkable
+class ContractingBackend(Backend, Protocol):
+    """A pose graph that can let go of nodes, so that it does not grow where nothing is new."""
+
+    def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
+        """Remove nodes (keys), each of which becomes fixed to another (values).
+
+        What was measured between a removed node and others is composed with its pose at the anchor
+        and becomes an edge of the anchor, up to ``max_edges`` for a node. ``optimize`` returns
+        weights of all loops ever added; those of removed nodes keep theirs.
+
+        Returns ``T_anchor_node`` (n, 4, 4) of the removed nodes.
+        """
 
 
 @runtime_checkable

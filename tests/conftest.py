@@ -105,6 +105,20 @@ def standpoint(room: Room) -> tuple[float, float]:
 
 
 @pytest.fixture(scope="session")
+def walk(look: Look, standpoint: tuple[float, float]) -> list[tuple[DepthFrame, Pose]]:
+    """Two looks about on the spot, (frame, T_odom_camera) each, so that there are loops."""
+    yaws = np.tile(np.arange(0.0, 2.0, 0.1), 2)
+    poses = np.tile(np.eye(4), (len(yaws), 1, 1))
+    for pose, yaw in zip(poses, yaws, strict=True):
+        c, s = np.cos(yaw), np.sin(yaw)
+        pose[:3] = [[s, 0, c, standpoint[0]], [-c, 0, s, standpoint[1]], [0, -1, 0, 1.3]]
+    return [
+        (replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 20)), se3.inverse(poses[0]) @ T)
+        for k, T in enumerate(poses)
+    ]
+
+
+@pytest.fixture(scope="session")
 def write_turn(room: Room, standpoint: tuple[float, float]) -> Callable[..., None]:
     """Write what a level camera sees of the room, in 7-Scenes layout, at each yaw (and x)."""
     scene = Scene3D(room.mesh)
@@ -130,17 +144,3 @@ def load_script():
     sys.path.insert(0, str(scripts))
     yield lambda name: runpy.run_path(str(scripts / name))
     sys.path.remove(str(scripts))
-
-
-@pytest.fixture(scope="session")
-def walk(look, standpoint):
-    """Two looks about on the spot, (frame, T_odom_camera) each, so that there are loops."""
-    yaws = np.tile(np.arange(0.0, 2.0, 0.1), 2)
-    poses = np.tile(np.eye(4), (len(yaws), 1, 1))
-    for pose, yaw in zip(poses, yaws, strict=True):
-        c, s = np.cos(yaw), np.sin(yaw)
-        pose[:3] = [[s, 0, c, standpoint[0]], [-c, 0, s, standpoint[1]], [0, -1, 0, 1.3]]
-    return [
-        (replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 20)), se3.inverse(poses[0]) @ T)
-        for k, T in enumerate(poses)
-    ]

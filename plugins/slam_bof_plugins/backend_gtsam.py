@@ -7,7 +7,7 @@ interpreter; one iSAM2 update after a loop has not converged.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,15 @@ from scipy.cluster.hierarchy import DisjointSet
 from slam_bof.core import Checkpoint
 from slam_bof.geometry import GraphEdge, loop_information, se3, step_sigmas, write_g2o
 from slam_bof.types import Array, Keyframe, Loop, Params, Pose
+from slam_bof_plugins.gtsam_contraction import Contraction, attach
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,
     ROOT_SIGMA,
     Edge,
+    Node,
+    Noisy,
     SelectionParams,
+    Step,
     optimized,
     pose3,
     poses_of,
@@ -36,6 +40,9 @@ __all__ = ["GtsamBackend", "GtsamParams"]
 
 STEP_FLOOR = 1e-4
 """Smallest standard deviation of a step, in rad and m: smaller ones make the equations singular."""
+
+MAX_GAIN = 10.0
+"""Largest information of an edge that was averaged, in terms of an average loop's."""
 
 
 class GtsamParams(Params):
@@ -81,15 +88,16 @@ class GtsamBackend:
     def __init__(self, params: GtsamParams | None = None) -> None:
         self.params = p = params or GtsamParams()
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
-        self._odometry = gtsam.NonlinearFactorGraph()
-        self._loops: list[tuple[Edge, gtsam.noiseModel.Gaussian]] = []
-        self._weights: NDArray[np.float64] = np.empty(0)
+        self._nodes: dict[int, Node] = {}
+        self._steps: dict[int, Step] = {}
+        self._prior = gtsam.NonlinearFactorGraph()
+        self._loops: dict[int, Noisy] = {}
+        self._weights: list[float] = []
+        self._settled: list[Noisy] = []
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
         self._estimate = gtsam.Values()
-        self._T_odom_camera: list[Pose] = []
-        self._stamps_s: list[float] = []
-        self._segments: list[int] = []
+        self._newest: Keyframe | None = None
         self._held = DisjointSet()
         self._has_new_loop = False
         self._is_optimized = False
@@ -106,25 +114,43 @@ class GtsamBackend:
         """
         if self._is_optimized:
             self._start_afresh(gtsam.ISAM2Params())
-        key = len(self._T_odom_camera)
+        key, before = keyframe.id, self._newest
         factor: gtsam.NonlinearFactor
-        if key == 0:
+        if before is None:
             node = pose3(keyframe.T_odom_camera)
             factor = gtsam.PriorFactorPose3(key, node, self._prior_noise)
+            self._prior.add(factor)
         else:
-            motion = pose3(se3.inverse(self._T_odom_camera[-1]) @ keyframe.T_odom_camera)
-            is_lost = keyframe.segment != self._segments[-1]
+            motion = pose3(se3.inverse(before.T_odom_camera) @ keyframe.T_odom_camera)
+            is_lost = keyframe.segment != before.segment
             noise = self._lost_noise if is_lost else self._step_noise(keyframe)
-            factor = gtsam.BetweenFactorPose3(key - 1, key, motion, noise)
-            node = self._estimate.atPose3(key - 1).compose(motion)
-        self._odometry.add(factor)
+            self._steps[key] = Step(before.id, key, motion, noise, is_lost)
+            factor = _factor(self._steps[key])
+            node = self._estimate.atPose3(before.id).compose(motion)
         self._new_factors.add(factor)
         self._new_values.insert(key, node)
         self._estimate.insert(key, node)
-        self._T_odom_camera.append(keyframe.T_odom_camera)
-        self._stamps_s.append(keyframe.stamp_s)
-        self._segments.append(keyframe.segment)
+        self._nodes[key] = Node(keyframe.stamp_s, keyframe.segment)
+        self._newest = keyframe
         self._held.add(keyframe.segment)
+
+    def set_odometry(
+        self, T_odom_camera: Mapping[int, Pose], relative_sigmas: Array | None
+    ) -> None:
+        """Replace the odometry between nodes; it takes effect in the next ``optimize``."""
+        for key, step in self._steps.items():
+            is_changed = relative_sigmas is not None or step.is_precise
+            if step.is_lost or not is_changed or not {step.before, key} <= T_odom_camera.keys():
+                continue
+            noise = self._odometry_noise
+            if relative_sigmas is not None:
+                sigma = self.params.loop_sigma * relative_sigmas * np.sqrt(abs(key - step.before))
+                floored = np.maximum(sigma, STEP_FLOOR).tolist()
+                noise = gtsam.noiseModel.Diagonal.Sigmas(step_sigmas(*floored))
+            motion = se3.inverse(T_odom_camera[step.before]) @ T_odom_camera[key]
+            self._steps[key] = step._replace(
+                measured=pose3(motion), noise=noise, is_precise=relative_sigmas is not None
+            )
 
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there.
@@ -135,11 +161,40 @@ class GtsamBackend:
         motion = pose3(T)
         for key in keyframe_ids.tolist():
             self._estimate.update(key, motion.compose(self._estimate.atPose3(key)))
-        for key in np.flatnonzero(np.diff(self._segments)) + 1:
-            step = self._estimate.atPose3(key - 1).between(self._estimate.atPose3(key))
-            factor = gtsam.BetweenFactorPose3(key - 1, key, step, self._lost_noise)
-            self._odometry.replace(key, factor)
+        for key, step in self._steps.items():
+            if step.is_lost:
+                before = self._estimate.atPose3(step.before)
+                motion = before.between(self._estimate.atPose3(key))
+                self._steps[key] = step._replace(measured=motion)
         self._start_afresh(gtsam.ISAM2Params())
+
+    def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
+        """Contract nodes into their anchors, and start iSAM2 afresh with what stays.
+
+        Before the nodes are fixed for good, the loops that waited for the end have their say.
+        """
+        self._estimate = optimized(self._graph(), self._estimate, self.params.n_updates)
+        kept = [self._loops[k] for k in self._kept()]
+        gone = attach(self._estimate, anchors, kept, self.params.loop_sigma)
+        contraction = Contraction(
+            gone,
+            self._settled,
+            max_edges=max_edges,
+            max_trace=MAX_GAIN * 6.0 / self.params.loop_sigma**2,
+        )
+        self._steps = contraction.steps(self._steps.values(), self._estimate)
+        for edge, noise in kept:
+            if contraction.touches(edge):
+                contraction.compose(edge, noise)
+        self._settled = contraction.settled
+        self._loops = {
+            k: loop for k, loop in self._loops.items() if not contraction.touches(loop[0])
+        }
+        for key in anchors:
+            self._estimate.erase(key)
+            del self._nodes[key]
+        self._start_afresh(gtsam.ISAM2Params())
+        return np.array([node.T_anchor_node.matrix() for node in gone.values()])
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.
@@ -151,8 +206,9 @@ class GtsamBackend:
         information = loop_information(loop.information, self.params.loop_sigma)
         noise = gtsam.noiseModel.Gaussian.Information(information)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
-        self._loops.append((edge, noise))
-        joins = self._held.merge(self._segments[edge.match], self._segments[edge.query])
+        self._loops[len(self._weights)] = (edge, noise)
+        self._weights.append(1.0)
+        joins = self._held.merge(*(self._nodes[key].segment for key in (edge.match, edge.query)))
         if joins or self._is_news(edge):
             self._new_factors.add(self._robust(edge, noise))
             self._has_new_loop = True
@@ -177,25 +233,25 @@ class GtsamBackend:
     def optimize(self) -> NDArray[np.float64]:
         """Optimise the whole graph until it converges; return the weight of each loop, (L,)."""
         p = self.params
-        self._weights = np.ones(len(self._loops))
-        if p.select_loops and self._loops:
-            self._weights, self._estimate = weigh_loops(
-                self._placed(),
-                np.array(self._segments),
-                np.array(self._stamps_s),
-                [edge for edge, _ in self._loops],
-                [noise.information() for _, noise in self._loops],
-                p.selection,
-            )
-        graph = gtsam.NonlinearFactorGraph(self._odometry)
-        for loop in self._kept():
-            graph.add(self._robust(*loop))
-        self._estimate = optimized(graph, self._estimate, p.max_iterations)
+        if self._loops:
+            weights = np.ones(len(self._loops))
+            if p.select_loops:
+                weights, self._estimate = weigh_loops(
+                    self._nodes,
+                    list(self._steps.values()),
+                    self._placed(),
+                    list(self._loops.values()),
+                    self._settled,
+                    p.selection,
+                )
+            for k, weight in zip(self._loops, weights.tolist(), strict=True):
+                self._weights[k] = weight
+        self._estimate = optimized(self._graph(), self._estimate, p.max_iterations)
         self._is_optimized = True
-        return self._weights
+        return np.array(self._weights)
 
     def poses(self) -> Array:
-        """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
+        """Return ``T_map_camera`` (n, 4, 4) of the nodes, in the order of their ids."""
         return poses_of(self._estimate)
 
     def write_g2o(self, path: Path) -> None:
@@ -204,30 +260,28 @@ class GtsamBackend:
         Robust kernels have no place in the format. Steps over which odometry was lost are left
         out too: they only keep the linear systems well-posed.
         """
-        T = self._T_odom_camera
-        edges = [
-            GraphEdge(k - 1, k, se3.inverse(T[k - 1]) @ T[k], self._step_information(k))
-            for k in range(1, len(T))
-            if self._segments[k - 1] == self._segments[k]
+        edges: list[Noisy] = [
+            (Edge(*step[:3]), step.noise) for step in self._steps.values() if not step.is_lost
         ]
-        edges += [
-            GraphEdge(edge.match, edge.query, edge.measured.matrix(), noise.information())
-            for edge, noise in self._kept()
-        ]
-        write_g2o(path, enumerate(self.poses()), edges)
+        edges += self._settled + [self._loops[k] for k in self._kept()]
+        write_g2o(
+            path,
+            zip(self._estimate.keys(), self.poses(), strict=True),
+            [
+                GraphEdge(edge.match, edge.query, edge.measured.matrix(), noise.information())
+                for edge, noise in edges
+            ],
+        )
 
     def checkpoint(self) -> Callable[[], None]:
         """Return a function that restores the present graph, with iSAM2 afresh from there."""
         before = Checkpoint()
         before.save(vars(self))
-        odometry, estimate = (
-            gtsam.NonlinearFactorGraph(self._odometry),
-            gtsam.Values(self._estimate),
-        )
+        prior, estimate = gtsam.NonlinearFactorGraph(self._prior), gtsam.Values(self._estimate)
 
         def restore() -> None:
             before.restore()
-            self._odometry = gtsam.NonlinearFactorGraph(odometry)
+            self._prior = gtsam.NonlinearFactorGraph(prior)
             self._estimate = gtsam.Values(estimate)
             self._start_afresh(gtsam.ISAM2Params())
 
@@ -240,31 +294,38 @@ class GtsamBackend:
         floor = np.diag(step_sigmas(STEP_FLOOR, STEP_FLOOR) ** 2)
         return gtsam.noiseModel.Gaussian.Covariance(keyframe.step_covariance + floor)
 
-    def _step_information(self, key: int) -> Array:
-        """Return the information (6, 6) of the step to a keyframe."""
-        factor: Any = self._odometry.at(key)
-        return np.asarray(factor.noiseModel().information())
+    def _graph(self) -> gtsam.NonlinearFactorGraph:
+        """Return the whole graph, without the loops left out."""
+        graph = gtsam.NonlinearFactorGraph(self._prior)
+        for step in self._steps.values():
+            graph.add(_factor(step))
+        for edge, noise in self._settled:
+            graph.add(self._robust(edge, noise))
+        for k in self._kept():
+            graph.add(self._robust(*self._loops[k]))
+        return graph
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
         """Let the next update take the whole graph, from the estimate so far."""
         self._is_optimized = False
         self._isam = gtsam.ISAM2(params)
-        self._new_factors = gtsam.NonlinearFactorGraph(self._odometry)
-        for loop in self._kept():
-            self._new_factors.add(self._robust(*loop))
+        self._new_factors = self._graph()
         self._new_values = gtsam.Values(self._estimate)
 
-    def _placed(self) -> Array:
-        """Return odometry (K, 4, 4) with each segment where the map has its first node."""
-        T_odom_camera, T_map_camera = np.array(self._T_odom_camera), self.poses()
-        _, first, segment = np.unique(self._segments, return_index=True, return_inverse=True)
-        T_map_odom = T_map_camera[first] @ se3.inverse(T_odom_camera[first])
-        return np.asarray(T_map_odom[segment] @ T_odom_camera)
+    def _placed(self) -> gtsam.Values:
+        """Return odometry with each segment where the map has its first node."""
+        placed = gtsam.Values()
+        for key in self._nodes:
+            step = self._steps.get(key)
+            if step is None or step.is_lost:
+                placed.insert(key, self._estimate.atPose3(key))
+            else:
+                placed.insert(key, placed.atPose3(step.before).compose(step.measured))
+        return placed
 
-    def _kept(self) -> list[tuple[Edge, gtsam.noiseModel.Gaussian]]:
-        """Return the loops that were not left out when the graph was last optimised."""
-        left_out = np.flatnonzero(self._weights < 0.5)
-        return [loop for k, loop in enumerate(self._loops) if k not in left_out]
+    def _kept(self) -> list[int]:
+        """Return the numbers of loops not left out when the graph was last optimised."""
+        return [k for k in self._loops if self._weights[k] >= 0.5]
 
     def _is_news(self, edge: Edge) -> bool:
         """Tell whether an edge contradicts the estimate by more than the tolerance."""
@@ -275,3 +336,7 @@ class GtsamBackend:
     def _robust(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.NonlinearFactor:
         kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.params.cauchy)
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
+
+
+def _factor(step: Step) -> gtsam.NonlinearFactor:
+    return gtsam.BetweenFactorPose3(step.before, step.node, step.measured, step.noise)

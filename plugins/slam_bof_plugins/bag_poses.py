@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import se3
 from slam_bof.types import Array, Pose, Trajectory
 from slam_bof_plugins.bag_file import BagFile
 from slam_bof_plugins.dataset_files import poses_at
+from slam_bof_plugins.ros_messages import clean_frame, pose_matrix, seconds, transform_matrix
 
 __all__ = ["find_odometry", "poses_recorded", "recorded_poses"]
 
@@ -140,7 +139,7 @@ def _to_camera(
     bag: BagFile, topic: str, T_world_child: Trajectory, child: str, camera: str
 ) -> Trajectory:
     """Transform poses of the moving frame to poses of the camera that is mounted on it."""
-    if child in ("", _clean(camera)):
+    if child in ("", clean_frame(camera)):
         return T_world_child
     stamps_s = T_world_child.stamps_s
     tree = _read_tree(bag, _static_topics(bag, topic))
@@ -153,13 +152,13 @@ def _read_poses(bag: BagFile, topic: str, msgtype: str) -> tuple[str, Trajectory
     stamps_s, poses = [], []
     for _, message in bag.messages(topic):
         if msgtype == TRANSFORM:
-            child = _clean(message.child_frame_id)
-            T = _transform(message.transform)
+            child = clean_frame(message.child_frame_id)
+            T = transform_matrix(message.transform)
         else:
             if msgtype == ODOMETRY:
-                child = _clean(message.child_frame_id)
-            T = _pose(message.pose if msgtype == POSE_STAMPED else message.pose.pose)
-        stamps_s.append(_seconds(message.header.stamp))
+                child = clean_frame(message.child_frame_id)
+            T = pose_matrix(message.pose if msgtype == POSE_STAMPED else message.pose.pose)
+        stamps_s.append(seconds(message.header.stamp))
         poses.append(T)
     if not poses:
         raise DatasetError(f"{bag.path}: {topic}: found no messages, expected poses")
@@ -171,10 +170,10 @@ def _read_tree(bag: BagFile, topics: list[str]) -> Tree:
     for topic in topics:
         for _, message in bag.messages(topic):
             for item in message.transforms:
-                key = _clean(item.child_frame_id), _clean(item.header.frame_id)
+                key = clean_frame(item.child_frame_id), clean_frame(item.header.frame_id)
                 stamps_s, poses, _ = found.setdefault(key, ([], [], _is_static_topic(topic)))
-                stamps_s.append(_seconds(item.header.stamp))
-                poses.append(_transform(item.transform))
+                stamps_s.append(seconds(item.header.stamp))
+                poses.append(transform_matrix(item.transform))
     tree: Tree = {}
     for (child, parent), (stamps_s, poses, is_static) in found.items():
         # What never moves holds at all times.
@@ -204,9 +203,9 @@ def _way(bag: BagFile, tree: Tree, frame: str, ancestor: str) -> list[str]:
 
     Where a frame has several parents, the way is the one that leads to the ancestor.
     """
-    ways, found = [[_clean(frame)]], []
+    ways, found = [[clean_frame(frame)]], []
     for way in ways:
-        if way[-1] == _clean(ancestor):
+        if way[-1] == clean_frame(ancestor):
             found.append(way)
         else:
             parents = sorted(tree.get(way[-1], {}))
@@ -218,8 +217,8 @@ def _way(bag: BagFile, tree: Tree, frame: str, ancestor: str) -> list[str]:
         raise DatasetError(f"{bag.path}: tf: found {len(found)} ways {listed}, expected one")
     reached = " and ".join(" <- ".join(way) for way in ways if way[-1] not in tree)
     raise DatasetError(
-        f"{bag.path}: tf: found {reached or _clean(frame)}, expected a way up to "
-        f"{_clean(ancestor)!r}; known frames: {', '.join(sorted(_frames(tree))) or 'none'}"
+        f"{bag.path}: tf: found {reached or clean_frame(frame)}, expected a way up to "
+        f"{clean_frame(ancestor)!r}; known frames: {', '.join(sorted(_frames(tree))) or 'none'}"
     )
 
 
@@ -236,26 +235,3 @@ def _in_order(stamps_s: list[float], poses: list[Pose]) -> Trajectory:
     last = dict(zip(stamps_s, poses, strict=True))
     times = sorted(last)
     return Trajectory(np.array(times), np.array([last[t] for t in times]).reshape(-1, 4, 4))
-
-
-def _clean(frame: str) -> str:
-    return frame.removeprefix("/")
-
-
-def _seconds(stamp: Any) -> float:
-    return float(stamp.sec + stamp.nanosec * 1e-9)
-
-
-def _pose(pose: Any) -> Pose:
-    return _matrix(pose.orientation, pose.position)
-
-
-def _transform(transform: Any) -> Pose:
-    return _matrix(transform.rotation, transform.translation)
-
-
-def _matrix(q: Any, t: Any) -> Pose:
-    quaternion = np.array([q.x, q.y, q.z, q.w])
-    if not 0.5 < np.linalg.norm(quaternion) < 2.0:
-        return np.full((4, 4), np.nan)  # all zeros: the writer knew no pose
-    return se3.from_quaternion(quaternion, (t.x, t.y, t.z))

@@ -28,6 +28,7 @@ from slam_bof_plugins.bag_poses import recorded_poses
 from slam_bof_plugins.bag_times import order_by_stamp
 from slam_bof_plugins.bag_topics import OPTION, find_depth_topic, stated_units
 from slam_bof_plugins.dataset_files import scale_depth, sequence_name
+from slam_bof_plugins.ros_messages import apply_binning, camera_matrix, scale_center
 
 __all__ = ["BagParams", "RosBag"]
 
@@ -207,47 +208,24 @@ def _camera(
             f"{bag.path}: found no camera_info {name}, expected one of: "
             f"{', '.join(sorted(known)) or 'none here'}"
         )
-    # ROS 1 has the matrices in capitals.
-    K = np.asarray(info.k if hasattr(info, "k") else info.K).reshape(3, 3)
-    P = np.asarray(info.p if hasattr(info, "p") else info.P).reshape(3, 4)
-    D = np.asarray(info.d if hasattr(info, "d") else info.D)
-    if "rect" in topic.name and P[0, 0] > 0.0:
-        K = P[:, :3]
-    elif D.any():
+    K, is_distorted = camera_matrix(info, is_rectified="rect" in topic.name)
+    if is_distorted:
         logger.warning("%s: %s: lens distortion is not undone", bag.path, name)
-    numbers = _apply_binning(info, K, width, height)
+    numbers = apply_binning(info, K, width, height)
     if numbers is None:
         given = [float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2))]
         share = width / info.width if info.width else 1.0
-        fx, fy, cx, cy = given[0] * share, given[1] * share, *(_scale(c, share) for c in given[2:])
+        fx, fy, cx, cy = (
+            given[0] * share,
+            given[1] * share,
+            *(scale_center(c, share) for c in given[2:]),
+        )
         raise DatasetError(
             f"{bag.path}: {name}: found a camera of {info.width}x{info.height} pixels, "
             f"expected {width}x{height} as {topic.name}; if the images were made smaller, give "
             f"{OPTION}.intrinsics=[{fx:.6g},{fy:.6g},{cx:.6g},{cy:.6g}]"
         )
     return checked_intrinsics(f"{bag.path}: {name}", width, height, *numbers)
-
-
-def _apply_binning(info: Any, K: Array, width: int, height: int) -> tuple[float, ...] | None:
-    """Return fx, fy, cx, cy of the images, by the region of interest and then the binning.
-
-    Both refer to the full image that CameraInfo describes. None if the images are then of another
-    size.
-    """
-    fx, fy, cx, cy = (float(K[i]) for i in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    if (info.width, info.height) == (width, height):
-        return fx, fy, cx, cy
-    roi, bins = info.roi, (max(info.binning_x, 1), max(info.binning_y, 1))
-    full = (roi.width or info.width, roi.height or info.height)
-    if (full[0] // bins[0], full[1] // bins[1]) != (width, height):
-        return None
-    cx, cy = _scale(cx - roi.x_offset, 1 / bins[0]), _scale(cy - roi.y_offset, 1 / bins[1])
-    return fx / bins[0], fy / bins[1], cx, cy
-
-
-def _scale(center: float, share: float) -> float:
-    """Return a coordinate, which counts from the centre of the first pixel, in a smaller image."""
-    return (center + 0.5) * share - 0.5
 
 
 def _beside(bag: BagFile, topic: Topic, frame: str) -> str:

@@ -9,8 +9,8 @@ neighbours mend is not held against the loops.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -20,7 +20,18 @@ from pydantic import Field
 from slam_bof.geometry import se3
 from slam_bof.types import Array, Params, Pose
 
-__all__ = ["LOST_SIGMA", "Edge", "SelectionParams", "optimized", "pose3", "poses_of", "weigh_loops"]
+__all__ = [
+    "LOST_SIGMA",
+    "Edge",
+    "Node",
+    "Noisy",
+    "SelectionParams",
+    "Step",
+    "optimized",
+    "pose3",
+    "poses_of",
+    "weigh_loops",
+]
 
 ROOT_SIGMA = 1e-3
 """Of the first node, in rad and in m; nothing pulls at it."""
@@ -66,63 +77,90 @@ class Edge(NamedTuple):
     measured: gtsam.Pose3
 
 
+class Step(NamedTuple):
+    """Odometry to a node from the one before: all but the first have one, and form a tree.
+
+    ``is_lost`` says that odometry was lost on the way, and that the step is worth next to nothing.
+    ``is_precise`` says that it is as precise as a loop: then it judges loops by its own noise.
+    """
+
+    before: int
+    node: int
+    measured: gtsam.Pose3
+    noise: gtsam.noiseModel.Gaussian
+    is_lost: bool
+    is_precise: bool = False
+
+
+class Node(NamedTuple):
+    """When a keyframe was taken, and in which uninterrupted track."""
+
+    stamp_s: float
+    segment: int
+
+
+Noisy = tuple[Edge, gtsam.noiseModel.Gaussian]
+"""An edge and its noise."""
+
+
 def weigh_loops(
-    T_odom_camera: Array,
-    segments: NDArray[np.integer[Any]],
-    stamps_s: Array,
-    edges: Sequence[Edge],
-    informations: Sequence[Array],
+    nodes: Mapping[int, Node],
+    steps: Sequence[Step],
+    start: gtsam.Values,
+    loops: Sequence[Noisy],
+    settled: Sequence[Noisy],
     params: SelectionParams,
 ) -> tuple[NDArray[np.float64], gtsam.Values]:
-    """Weigh each edge in [0, 1]: near 0 where it contradicts the others.
+    """Weigh each loop in [0, 1]: near 0 where it contradicts the others.
 
     Parameters
     ----------
-    T_odom_camera
-        (K, 4, 4) odometry of the nodes, segments placed about where they belong.
-    segments
-        (K,) which uninterrupted track the nodes belong to, growing; between two of them odometry
-        says nothing.
-    stamps_s
-        (K,) their times; edges over less than ``local_s`` in one segment are not judged and
-        weigh 1.
-    informations
-        (E,) their information (6, 6). What an edge leaves open speaks neither for nor against it.
+    nodes, steps
+        The keyframes and the odometry between them.
+    start
+        The poses of the nodes by odometry, segments placed about where they belong.
+    loops
+        Edges over less than ``local_s`` in one segment are not judged and weigh 1. What an edge
+        leaves open speaks neither for nor against it.
+    settled
+        Edges that are known to be right.
 
     Returns
     -------
-    weights : (E,)
+    weights : (L,)
     values
         The nodes as those that agree have them: where to start optimising from.
     """
-    query, match = np.array([(e.query, e.match) for e in edges], dtype=np.intp).reshape(-1, 2).T
-    far = np.abs(stamps_s[query] - stamps_s[match]) >= params.local_s
-    far |= segments[query] != segments[match]
-    weights = np.ones(len(edges))
-    near = np.flatnonzero(~far).tolist()
-    settled = _settle(
-        T_odom_camera, segments, [edges[k] for k in near], [informations[k] for k in near], params
-    )
+    far = np.array([_is_far(nodes, edge, params.local_s) for edge, _ in loops], np.bool_)
+    weights = np.ones(len(loops))
+    near = [loop for loop, is_far in zip(loops, far, strict=True) if not is_far]
+    values = _settle(start, steps, near, params)
     if not any(far):
-        return weights, _values(settled)
-    steady = gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma)
-    graph = _chain(settled, segments, steady)
-    n_visible = graph.size()
+        return weights, values
+    graph = _chain(values, steps, gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma))
+    for edge, noise in settled:
+        graph.add(gtsam.BetweenFactorPose3(*edge, _held_noise(noise, params.loop_sigma)))
+    n_known = graph.size()
     for k in np.flatnonzero(far).tolist():
-        noise = _held_noise(informations[k], params.loop_sigma)
-        graph.add(gtsam.BetweenFactorPose3(*edges[k], noise))
+        edge, noise = loops[k]
+        graph.add(gtsam.BetweenFactorPose3(*edge, _held_noise(noise, params.loop_sigma)))
     gnc = gtsam.GncLMParams()
-    gnc.setKnownInliers(list(range(n_visible)))
-    optimizer = gtsam.GncLMOptimizer(graph, _values(settled), gnc)
+    gnc.setKnownInliers(list(range(n_known)))
+    optimizer = gtsam.GncLMOptimizer(graph, values, gnc)
     optimizer.setInlierCostThresholdsAtProbability(params.inlier_probability)
     values = optimizer.optimize()
-    weights[far] = np.asarray(optimizer.getWeights())[n_visible:]
+    weights[far] = np.asarray(optimizer.getWeights())[n_known:]
     return weights, values
 
 
-def _held_noise(information: Array, sigma: float) -> gtsam.noiseModel.Base:
+def _is_far(nodes: Mapping[int, Node], edge: Edge, local_s: float) -> bool:
+    query, match = nodes[edge.query], nodes[edge.match]
+    return query.segment != match.segment or abs(query.stamp_s - match.stamp_s) >= local_s
+
+
+def _held_noise(noise: gtsam.noiseModel.Gaussian, sigma: float) -> gtsam.noiseModel.Base:
     """Return noise of one sigma along the directions that an edge holds."""
-    values, axes = np.linalg.eigh(information)
+    values, axes = np.linalg.eigh(noise.information())
     open_axes = axes[:, values < MAX_OPEN_SHARE * values.sum()]
     if open_axes.shape[1] == 0:
         return gtsam.noiseModel.Isotropic.Sigma(6, sigma)
@@ -154,42 +192,34 @@ def optimized(
 
 
 def _settle(
-    T_odom_camera: Array,
-    segments: NDArray[np.integer[Any]],
-    edges: Sequence[Edge],
-    informations: Sequence[Array],
-    params: SelectionParams,
-) -> Array:
-    """Return the nodes (K, 4, 4) by odometry and the edges between neighbours, all robust."""
+    start: gtsam.Values, steps: Sequence[Step], near: Sequence[Noisy], params: SelectionParams
+) -> gtsam.Values:
+    """Return the nodes by odometry and the edges between neighbours, all robust."""
     kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
     steady = gtsam.noiseModel.Isotropic.Sigma(6, params.local_sigma)
-    graph = _chain(T_odom_camera, segments, gtsam.noiseModel.Robust.Create(kernel, steady))
-    for edge, information in zip(edges, informations, strict=True):
-        noise = _held_noise(information, params.local_sigma)
-        graph.add(gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise)))
-    return poses_of(optimized(graph, _values(T_odom_camera)))
+    graph = _chain(start, steps, gtsam.noiseModel.Robust.Create(kernel, steady))
+    for edge, noise in near:
+        held = _held_noise(noise, params.local_sigma)
+        graph.add(gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, held)))
+    return optimized(graph, start)
 
 
 def _chain(
-    poses: Array, segments: NDArray[np.integer[Any]], noise: gtsam.noiseModel.Base
+    values: gtsam.Values, steps: Sequence[Step], noise: gtsam.noiseModel.Base
 ) -> gtsam.NonlinearFactorGraph:
     """Return a graph that holds the first node fast and each other one to the one before it.
 
-    From segment to segment it hardly holds.
+    From segment to segment it hardly holds; precise steps are those of odometry.
     """
     graph = gtsam.NonlinearFactorGraph()
     fast = gtsam.noiseModel.Isotropic.Sigma(6, ROOT_SIGMA)
-    graph.add(gtsam.PriorFactorPose3(0, pose3(poses[0]), fast))
+    root = min(values.keys())
+    graph.add(gtsam.PriorFactorPose3(root, values.atPose3(root), fast))
     loose = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
-    steps = se3.inverse(poses[:-1]) @ poses[1:]
-    for key, step in enumerate(steps):
-        is_lost = segments[key] != segments[key + 1]
-        graph.add(gtsam.BetweenFactorPose3(key, key + 1, pose3(step), loose if is_lost else noise))
+    for step in steps:
+        motion = values.atPose3(step.before).between(values.atPose3(step.node))
+        held = loose if step.is_lost else noise
+        if step.is_precise:
+            motion, held = step.measured, step.noise
+        graph.add(gtsam.BetweenFactorPose3(step.before, step.node, motion, held))
     return graph
-
-
-def _values(poses: Array) -> gtsam.Values:
-    values = gtsam.Values()
-    for key, pose in enumerate(poses):
-        values.insert(key, pose3(pose))
-    return values

@@ -62,16 +62,19 @@ class ProjectiveVerifier:
         return len(self._aligner) - 1
 
     def forget(self, prepared: int) -> None:
-        """Forget the view kept last.
+        """Forget a view; its memory is used for the next one.
 
         Raises
         ------
         ValueError
-            If it is another one.
+            If it is not kept.
         """
-        if prepared != len(self._aligner) - 1:
-            raise ValueError(f"only view {len(self._aligner) - 1}, the last, can be forgotten")
-        self._aligner.truncate(prepared)
+        try:
+            self._aligner.drop(prepared)
+        except KeyError as error:
+            raise ValueError(f"view {prepared} is not kept") from error
+        if prepared == len(self._aligner) - 1:
+            self._aligner.truncate(prepared)
 
     def verify(
         self,

@@ -36,6 +36,7 @@ CELL_WIDTHS = np.array([0.2, 0.07, 0.07], np.float32)
 N_CELLS = np.array([24, 8, 5])
 SLICES_APART = (-1, 0, 1)
 """Slices that are looked in; more would hardly add, for things stand in several."""
+OWN_SLICE = (0,)
 MEAN_LEVELS = 256
 MEAN_REACH = 15
 """Levels that means may differ by."""
@@ -48,6 +49,12 @@ class IndexParams(Params):
         50,
         gt=0,
         description="Number of views with most votes that are matched contour by contour.",
+    )
+    max_views_beside: int = Field(
+        4000,
+        ge=0,
+        description="Largest number of views of a map in which contours are looked up in the "
+        "slices beside their own as well.",
     )
     max_votes: int = Field(
         200_000,
@@ -133,6 +140,15 @@ class ConstellationIndex:
         self._rows.truncate(int(self._starts.rows[-1]))
         self._totals.truncate(len(self) - 1)
 
+    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+        """Keep only the views where ``is_kept`` (V,) is true, and renumber them 0, 1, 2 ..."""
+        counts = np.diff(self._starts.rows)
+        self._rows.keep(np.repeat(is_kept, counts))
+        self._totals.keep(is_kept)
+        self._postings.keep(is_kept)
+        self._starts.truncate(1)
+        self._starts.extend(np.cumsum(counts[is_kept]))
+
     def bofs(self, view_id: int) -> PlacedBofs:
         """Return the contours of a view, as they are kept."""
         return unpack_constellation(
@@ -152,7 +168,8 @@ class ConstellationIndex:
     ) -> NDArray[np.intp]:
         """Return the up to ``n`` views (m,) that have most votes for one motion, best first."""
         voters = MotionVotes(query)
-        contours, low, high = _ranges(query)
+        is_small = len(self) <= self.params.max_views_beside
+        contours, low, high = _ranges(query, SLICES_APART if is_small else OWN_SLICE)
         lists = self._postings.lists()
         begins = [np.searchsorted(postings.keys, low) for postings in lists]
         ends = [np.searchsorted(postings.keys, high) for postings in lists]
@@ -215,14 +232,15 @@ def _first_key(slices: NDArray[np.integer[Any]], shape: NDArray[np.int64]) -> ND
 
 
 def _ranges(
-    query: PlacedBofs,
+    query: PlacedBofs, slices_apart: tuple[int, ...]
 ) -> tuple[NDArray[np.intp], NDArray[np.int32], NDArray[np.int32]]:
     """Return contours (R,) and ranges of keys (R,), (R,) to look each up in.
 
-    Along each axis of its shape these are the two cells that are nearest.
+    Slices are those so many apart from a contour's own. Along each axis of its shape, cells are the
+    two that are nearest.
     """
     at = np.clip(_shape(query), 0, N_CELLS - 0.01)
-    beside = np.array(list(product(SLICES_APART, *[(0, 1)] * len(N_CELLS))))
+    beside = np.array(list(product(slices_apart, *[(0, 1)] * len(N_CELLS))))
     shape = np.floor(at - 0.5).astype(np.int64) + beside[:, None, 1:]
     slices = query.slices.astype(np.int64) + beside[:, None, 0]
     inside = (slices >= 0) & ((shape >= 0) & (shape < N_CELLS)).all(axis=-1)

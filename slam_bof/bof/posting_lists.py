@@ -76,6 +76,14 @@ class PostingLists:
         self._new.pop()
         self._newest = None
 
+    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+        """Keep only the views where ``is_kept`` (V,) is true, and renumber them 0, 1, 2 ..."""
+        numbers = (np.cumsum(is_kept) - 1).astype(np.int32)
+        self._lists = [_chosen(postings, is_kept, numbers) for postings in self._lists]
+        # Of a view that goes, an empty entry stays, so that ``pop`` still drops the newest view.
+        self._new = [_chosen(postings, is_kept, numbers) for postings in self._new]
+        self._newest = None
+
     def lists(self) -> list[Postings]:
         """Return all contours in lists that are sorted."""
         if self._newest is None:
@@ -86,6 +94,14 @@ class PostingLists:
     def nbytes(self) -> int:
         """Bytes of all lists."""
         return sum(postings.nbytes for postings in self.lists())
+
+
+def _chosen(postings: Postings, is_kept: NDArray[np.bool_], numbers: NDArray[np.int32]) -> Postings:
+    """Return the contours of the views that are kept, with their new numbers."""
+    inside = is_kept[postings.views]
+    columns: tuple[NDArray[Any], ...] = postings
+    chosen = Postings(*(column[inside] for column in columns))
+    return chosen._replace(views=numbers[chosen.views])
 
 
 def _join(postings: list[Postings]) -> Postings:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,8 +17,7 @@ from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
-    from slam_bof.cli.console import FrameBar
-    from slam_bof.ports import Dataset
+    from slam_bof.ports import Dataset, Observer
     from slam_bof.run import RunResult
     from slam_bof.slam import Config
 
@@ -43,11 +43,13 @@ SUMMARY = (
 
 
 def run(
-    sequence: Annotated[
-        Path | None,
+    sequences: Annotated[
+        list[Path] | None,
         typer.Argument(
+            metavar="SEQUENCE...",
             help="Folder of a sequence of depth images, or a .bag or .sens file. With --resume it "
-            "may be left out if the data are where they were."
+            "may be left out if the data are where they were. Several sequences are run one by "
+            "one, each in a folder of its own.",
         ),
     ] = None,
     out: OUT = Path("runs"),
@@ -90,12 +92,26 @@ def run(
     z_up: Annotated[
         bool, typer.Option("--z-up", help="Write map.ply in a frame with z up, 0 on the floor.")
     ] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=1, help="Number of sequences run at a time.")
+    ] = 1,
+    view: Annotated[
+        str | None,
+        typer.Option(
+            metavar="live|FILE.rrd",
+            help="Show the run in the viewer of rerun as it goes on, or record it for that.",
+        ),
+    ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
     """Run the mini-SLAM over a sequence; write trajectory, loops, labels and map to a folder."""
     from slam_bof.slam import config as configs
 
+    sequence = sequences[0] if sequences else None
+    if sequences and len(sequences) > 1 and (resume is not None or map_ is not None):
+        option = "--map" if resume is None else "--resume"
+        raise typer.BadParameter(f"found {len(sequences)} sequences with {option}, expected one")
     if resume is not None:
         given = {
             "--map": map_ is not None,
@@ -119,6 +135,7 @@ def run(
             max_frames=max_frames,
             with_color=color,
             z_up=z_up,
+            view=view,
             quiet=quiet,
             as_json=as_json,
         )
@@ -129,15 +146,31 @@ def run(
     values: dict[str, Any] = {"model": model, "seed": seed}
     if dataset is not None:
         values["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
+    chosen = chosen.model_copy(update={k: v for k, v in values.items() if v is not None})
+    if sequences and len(sequences) > 1:
+        _run_many(
+            sequences,
+            chosen,
+            out,
+            n_jobs=jobs,
+            frames=frames,
+            max_frames=max_frames,
+            with_color=color,
+            z_up=z_up,
+            quiet=quiet,
+            as_json=as_json,
+        )
+        return
     run_new(
         sequence,
-        chosen.model_copy(update={k: v for k, v in values.items() if v is not None}),
+        chosen,
         out,
         frames=frames,
         max_frames=max_frames,
         map_=None if map_ is None else map_file(map_),
         with_color=color,
         z_up=z_up,
+        view=view,
         quiet=quiet,
         as_json=as_json,
     )
@@ -153,6 +186,7 @@ def run_new(
     map_: Path | None = None,
     with_color: bool = False,
     z_up: bool = False,
+    view: str | None = None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -160,7 +194,7 @@ def run_new(
     from slam_bof.run import run_sequence
 
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
-    with _observer(sequence, dataset, frames, quiet=quiet) as observer:
+    with _observer(sequence, dataset, frames, view, quiet=quiet) as observer:
         result = run_sequence(
             dataset,
             config,
@@ -176,6 +210,55 @@ def run_new(
     _show(result, as_json=as_json)
 
 
+def _run_many(
+    sequences: list[Path],
+    config: Config,
+    out: Path,
+    *,
+    n_jobs: int,
+    frames: str | None,
+    quiet: bool,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Run sequences in folders of their own and print a table of all; exit with 1 if one failed."""
+    from slam_bof.cli.console import Bar, print_json, print_table
+    from slam_bof.run import run_sequences
+
+    open_ = partial(open_sequence, choice=config.dataset, frames=frames, quiet=True)
+    done = []
+    with Bar("Running sequences", quiet=quiet) as bar:
+        found = run_sequences(
+            sequences, open_, config, out, n_jobs=n_jobs, frames=frames, **options
+        )
+        for one in found:
+            done.append(one)
+            bar.show(len(done), len(sequences))
+    if as_json:
+        print_json(
+            [
+                {"sequence_path": str(one.sequence), "error": one.error}
+                if one.result is None
+                else {"folder": str(one.result.folder), **one.result.metrics}
+                for one in done
+            ]
+        )
+    else:
+        keys = ("ate_odometry_m", "ate_m", "n_loops", "n_keyframes", "n_components", "fps")
+        rows = [
+            (one.sequence, *map(one.result.metrics.get, keys), one.result.folder)
+            for one in done
+            if one.result is not None
+        ]
+        print_table(("sequence", *keys, "folder"), rows)
+    failed = [one for one in done if one.result is None]
+    for one in failed:
+        typer.echo(f"error: {one.error}", err=True)
+    if failed:
+        typer.echo(f"{len(failed)} of {len(done)} sequences failed", err=True)
+        raise typer.Exit(1)
+
+
 def _resume(
     sequence: Path | None,
     map_: Path,
@@ -185,6 +268,7 @@ def _resume(
     max_frames: int | None,
     with_color: bool,
     z_up: bool,
+    view: str | None,
     quiet: bool,
     as_json: bool,
 ) -> None:
@@ -208,7 +292,7 @@ def _resume(
                 "expected the sequence: slam-bof run SEQUENCE --resume FOLDER"
             )
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
-    with _observer(sequence, dataset, frames, quiet=quiet) as observer:
+    with _observer(sequence, dataset, frames, view, quiet=quiet) as observer:
         result = resume_sequence(
             dataset,
             map_,
@@ -224,14 +308,19 @@ def _resume(
 
 @contextmanager
 def _observer(
-    sequence: Path, dataset: Dataset, frames: str | None, *, quiet: bool
-) -> Iterator[FrameBar]:
+    sequence: Path, dataset: Dataset, frames: str | None, view: str | None, *, quiet: bool
+) -> Iterator[Observer]:
     """Show a run as a progress bar; if it is interrupted, print how to resume it and exit."""
     from slam_bof.cli.console import FrameBar
     from slam_bof.run import RunInterrupted
 
     try:
-        with FrameBar(dataset.sequence, quiet=quiet) as observer:
+        with ExitStack() as stack:
+            observer: Observer = stack.enter_context(FrameBar(dataset.sequence, quiet=quiet))
+            if view is not None:
+                from slam_bof.visualization import LiveView
+
+                observer = stack.enter_context(LiveView(observer, dataset, view))
             yield observer
     except RunInterrupted as interruption:
         words = ["slam-bof", "run", str(sequence), "--resume", str(interruption.folder)]

@@ -63,6 +63,17 @@ class GrowingArray:
         """Keep only the first ``n`` rows."""
         self._n = min(n, self._n)
 
+    def keep(self, is_kept: NDArray[np.bool_]) -> None:
+        """Keep only the rows where ``is_kept`` (n,) is true, in their order."""
+        self._block, self._n_saved = self.rows[is_kept], 0
+        self._n = len(self._block)
+
+    def put(self, index: Any, values: Any) -> None:
+        """Replace rows by an index, as in ``rows[index] = values``."""
+        if self._n_saved:
+            self._move_to(len(self._block))
+        self.rows[index] = values
+
     def checkpoint(self) -> Callable[[], None]:
         """Return a function that restores the present rows; see ``core.Checkpoint``.
 

@@ -166,11 +166,15 @@ class ViewAligner:
         self._views.add(view)
 
     def __len__(self) -> int:
-        """Return the number of views held."""
+        """Return the number of views added so far, dropped ones included: the next id."""
         return len(self._views)
 
+    def drop(self, view_id: int) -> None:
+        """Drop a view; ``KeyError`` if none of that id is held."""
+        self._views.drop(view_id)
+
     def truncate(self, n: int) -> None:
-        """Hold only the first ``n`` views."""
+        """Hold only the views with ids below ``n``; the next id is ``n``."""
         self._views.truncate(n)
 
     @property

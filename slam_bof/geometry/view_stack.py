@@ -1,5 +1,7 @@
 """Storage of many depth views of one camera, and projection of points into them.
 
+A view keeps its id for good. The memory of a dropped view is used for the next one.
+
 Coordinates are stored in separate contiguous float32 arrays, so that computations run along
 contiguous memory.
 """
@@ -19,6 +21,9 @@ __all__ = ["Floats", "Indices", "ProjectedPoints", "ViewStack"]
 
 Indices = NDArray[np.integer[Any]]
 Floats = NDArray[np.floating[Any]]
+
+DROPPED = -1
+"""Row of views that were dropped."""
 
 NEAR_M = np.float32(0.05)
 """Points nearer than this are not projected."""
@@ -56,6 +61,8 @@ class ViewStack:
         self.n_points = n_points
         self._seed = seed
         self._camera: Intrinsics | None = None
+        self._row_of_id = GrowingArray((), np.int32)
+        self._free_rows: list[int] = []
         self._rays: NDArray[np.float32]
         self._depths_m: GrowingArray
         self._normals: GrowingArray
@@ -83,48 +90,72 @@ class ViewStack:
         if view.intrinsics != self._camera:
             raise ValueError(f"views must be of {self._camera}, got {view.intrinsics}")
         normals = view.normals_camera.reshape(-1, 3)
-        self._depths_m.append(view.depth_m.reshape(-1))
-        self._normals.append(np.rint(normals * NORMAL_STEPS))
-        self._sampled.append(self._sample(view.depth_m.reshape(-1) > 0))
-        self._surface.append(self._sample(np.asarray(normals.any(axis=1))))
+        row = self._free_rows.pop() if self._free_rows else len(self._depths_m)
+        for stack, values in (
+            (self._depths_m, view.depth_m.reshape(-1)),
+            (self._normals, np.rint(normals * NORMAL_STEPS)),
+            (self._sampled, self._sample(view.depth_m.reshape(-1) > 0)),
+            (self._surface, self._sample(np.asarray(normals.any(axis=1)))),
+        ):
+            if row == len(stack):
+                stack.append(values)
+            else:
+                stack.rows[row] = values  # in place: nothing reads a row that is free
+        self._row_of_id.append(row)
 
     def __len__(self) -> int:
-        """Return the number of stored views."""
-        return 0 if self._camera is None else len(self._depths_m)
+        """Return the number of views added so far, dropped ones included: the next id."""
+        return len(self._row_of_id)
+
+    def drop(self, view_id: int) -> None:
+        """Drop a view; ``KeyError`` if there is none of that id."""
+        if not 0 <= view_id < len(self) or self._row_of_id.rows[view_id] == DROPPED:
+            raise KeyError(f"no view {view_id}")
+        self._free_rows.append(int(self._row_of_id.rows[view_id]))
+        self._row_of_id.put(view_id, DROPPED)
 
     def truncate(self, n: int) -> None:
-        """Keep only the first ``n`` views."""
-        if self._camera is not None:
-            for stack in (self._depths_m, self._normals, self._sampled, self._surface):
-                stack.truncate(n)
+        """Keep only the views with ids below ``n``; the next id is ``n``."""
+        dropped = self._row_of_id.rows[n:]
+        self._free_rows += dropped[dropped != DROPPED].tolist()
+        self._row_of_id.truncate(n)
+        if self._camera is None:
+            return
+        n_rows = int(self._row_of_id.rows.max(initial=DROPPED)) + 1
+        for stack in (self._depths_m, self._normals, self._sampled, self._surface):
+            stack.truncate(n_rows)
+        self._free_rows = [row for row in self._free_rows if row < n_rows]
 
     @property
     def nbytes(self) -> int:
-        """Size of all stored views in bytes."""
+        """Size of all stored views in bytes, dropped ones not included."""
         if self._camera is None:
             return 0
         stacks = (self._depths_m, self._normals, self._sampled, self._surface)
-        return sum(stack.rows.nbytes for stack in stacks)
+        n_stored = len(self._depths_m) - len(self._free_rows)
+        return n_stored * sum(stack.rows.strides[0] for stack in stacks)
 
     def points_camera(self, view_id: int) -> NDArray[np.float32]:
         """Return all points (N, 3) of a view."""
-        depth_m = self._depths_m.rows[view_id]
+        depth_m = self._depths_m.rows[self._rows(view_id)]
         return np.asarray((self._rays * depth_m[:, None])[depth_m > 0])
 
     def sampled(self, views: int | Indices, n_points: int | None = None) -> Floats:
         """Return sampled points (m, 3) of a view, or (n, m, 3) of views (n,)."""
-        pixels = self._sampled.rows[views, :n_points]
-        return self._points(np.asarray(views)[..., None], pixels)
+        rows = self._rows(views)
+        return self._points(rows[..., None], self._sampled.rows[rows, :n_points])
 
     def surface(self, view_id: int, n_points: int | None = None) -> tuple[Floats, Floats]:
         """Return sampled points (m, 3) of a view with known normals, and the normals (m, 3)."""
-        pixels = self._surface.rows[view_id, :n_points]
-        normals = self._normals.rows[view_id].take(pixels, axis=0) * np.float32(1 / NORMAL_STEPS)
-        return self._points(view_id, pixels), normals
+        row = self._rows(view_id)
+        pixels = self._surface.rows[row, :n_points]
+        normals = self._normals.rows[row].take(pixels, axis=0) * np.float32(1 / NORMAL_STEPS)
+        return self._points(row, pixels), normals
 
     def surface_points(self, views: int | Indices) -> Floats:
         """Return sampled points with known normals: (m, 3) of a view or (n, m, 3) of views (n,)."""
-        return self._points(np.asarray(views)[..., None], self._surface.rows[views])
+        rows = self._rows(views)
+        return self._points(rows[..., None], self._surface.rows[rows])
 
     def project_points(self, points: Floats, T: Floats) -> ProjectedPoints:
         """Project points (m, 3), or (n, m, 3), into images (n,) by ``T_image_points`` (n, 4, 4)."""
@@ -165,7 +196,7 @@ class ViewStack:
         pixels += projected.column
         pixels *= projected.inside
         addresses = pixels.astype(np.intp)
-        addresses += np.asarray(views)[..., None] * len(self._rays)
+        addresses += self._rows(views)[..., None] * len(self._rays)
         depth_m = self._depths_m.rows.reshape(-1).take(addresses)
         depth_m *= projected.inside
         return depth_m, addresses
@@ -227,8 +258,15 @@ class ViewStack:
         np.divide(np.float32(1.0), depth_m, out=inverse, where=depth_m > 0)
         return inverse
 
-    def _points(self, views: int | Indices, pixels: Indices) -> Floats:
-        addresses = views * len(self._rays) + pixels
+    def _rows(self, views: int | Indices) -> Indices:
+        """Return the rows of views; ``KeyError`` if one was dropped."""
+        rows = np.asarray(self._row_of_id.rows[views], np.intp)
+        if (rows == DROPPED).any():
+            raise KeyError(f"a view of {views} was dropped")
+        return rows
+
+    def _points(self, rows: Indices, pixels: Indices) -> Floats:
+        addresses = rows * len(self._rays) + pixels
         depth_m = self._depths_m.rows.reshape(-1).take(addresses)
         return np.asarray(self._rays.take(pixels, axis=0) * depth_m[..., None])
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
@@ -33,14 +33,17 @@ class Found:
 class Ranking(Protocol):
     """A method that ranks older keyframes by their similarity to a new one."""
 
-    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
-        """Return the best of the older keyframes, and store this one."""
+    def rank(self, keyframe: Keyframe, frame: DepthFrame, n_older: int) -> Found:
+        """Return the best of the first ``n_older`` keyframes, and store this one."""
 
     def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
         """Store a keyframe without a search."""
 
     def deactivate(self) -> None:
         """Exclude the newest keyframe from later searches."""
+
+    def remove(self, keyframe_ids: Collection[int]) -> None:
+        """Remove keyframes for good."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Prepare for keyframes with another odometry frame and clock."""
@@ -61,15 +64,15 @@ class BagRanking:
         self._stamps_s: list[float] = []
         self._n_before = 0
 
-    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
+    def rank(self, keyframe: Keyframe, frame: DepthFrame, n_older: int) -> Found:
         """Return up to ``top_k`` maxima of eta, no two within ``max_index_difference``."""
         p = self._params
         scores = self._index.scores(keyframe.bag)
         found = Found()
-        if older and self._stamps_s:
+        if n_older and self._stamps_s:
             lag = np.abs(np.array(self._stamps_s) - (keyframe.stamp_s - p.normaliser_lag_s))
             normaliser = float(scores[self._n_before + lag.argmin()])
-            for best in _maxima(scores[: len(older)], p):
+            for best in _maxima(scores[:n_older], p):
                 score = float(scores[best])
                 eta = score / normaliser if normaliser > 0.0 else np.inf
                 candidate = Candidate(
@@ -91,6 +94,9 @@ class BagRanking:
 
     def deactivate(self) -> None:
         """Do nothing: the paper searches all keyframes."""
+
+    def remove(self, keyframe_ids: Collection[int]) -> None:
+        """Do nothing, as well."""
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Normalise by the keyframes of the new session alone."""
@@ -121,12 +127,12 @@ class ViewRanking:
         self._params = params
         self._recogniser = recogniser
 
-    def rank(self, keyframe: Keyframe, frame: DepthFrame, older: list[Keyframe]) -> Found:
+    def rank(self, keyframe: Keyframe, frame: DepthFrame, n_older: int) -> Found:
         """Return up to ``top_k`` maxima of the score, no two within ``max_index_difference``."""
         p = self._params
         self.remember(keyframe, frame)
-        matches = {m.view_id: m for m in self._recogniser.recognise(keyframe.id, len(older))}
-        scores = np.zeros(len(older))
+        matches = {m.view_id: m for m in self._recogniser.recognise(keyframe.id, n_older)}
+        scores = np.zeros(n_older)
         scores[list(matches)] = [m.score for m in matches.values()]
         candidates = []
         for best in _maxima(scores, p):
@@ -149,6 +155,10 @@ class ViewRanking:
     def deactivate(self) -> None:
         """Exclude the newest view from later searches."""
         self._recogniser.deactivate()
+
+    def remove(self, keyframe_ids: Collection[int]) -> None:
+        """Remove the views of keyframes."""
+        self._recogniser.remove(keyframe_ids)
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Prepare for another direction of gravity, and follow no earlier matches."""

@@ -118,6 +118,11 @@ class ComponentJoiningGate:
         self._pending = [loop for loop in self._pending if loop not in admitted]
         return admitted
 
+    @property
+    def waiting(self) -> list[Loop]:
+        """The loops that wait for others to join two components."""
+        return self._pending
+
     def _agreeing(
         self, loop: Loop, T_map_camera: Array, components: NDArray[np.integer[Any]]
     ) -> list[Loop]:

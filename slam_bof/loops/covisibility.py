@@ -6,7 +6,10 @@ correct its small local errors.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.types import Array, Params
@@ -40,19 +43,22 @@ class CovisibilityParams(Params):
     )
 
 
-def choose_covisible(overlaps: Array, params: CovisibilityParams) -> list[int]:
-    """Choose up to ``max_edges`` views with the largest overlaps, ``separation`` views apart.
+def choose_covisible(
+    ids: NDArray[np.integer[Any]], overlaps: Array, params: CovisibilityParams
+) -> list[int]:
+    """Choose up to ``max_edges`` views with the largest overlaps, their ids ``separation`` apart.
 
-    ``overlaps`` (K,) are in order of time. Views close in time constrain a pose in the same way,
-    so the chosen ones are spread over time.
+    ``ids`` (n,) and ``overlaps`` (n,) are in order of time. Views close in time constrain a pose in
+    the same way, so the chosen ones are spread over time.
 
-    >>> choose_covisible(np.array([0.6, 0.1, 0.5, 0.7, 0.9]), CovisibilityParams(separation=2))
-    [0, 2, 4]
+    >>> overlaps = np.array([0.6, 0.1, 0.5, 0.7, 0.9])
+    >>> choose_covisible(np.array([3, 4, 5, 6, 7]), overlaps, CovisibilityParams(separation=2))
+    [3, 5, 7]
     """
     left = np.where(overlaps >= params.min_overlap, overlaps, 0.0)
     chosen: list[int] = []
     while len(chosen) < params.max_edges and left.any():
-        best = int(left.argmax())
+        best = int(ids[left.argmax()])
         chosen.append(best)
-        left[max(0, best - params.separation + 1) : best + params.separation] = 0.0
+        left[np.abs(ids - best) < params.separation] = 0.0
     return sorted(chosen)

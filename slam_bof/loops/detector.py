@@ -10,13 +10,15 @@ Candidates above the upper threshold are accepted, and geometry only measures th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slam_bof.core import GrowingArray
 from slam_bof.geometry import se3
 from slam_bof.loops.candidates import BagRanking, Found, Ranking, ViewRanking
 from slam_bof.loops.params import LoopParams
@@ -101,23 +103,24 @@ class LoopDetector:
             recogniser = PlaceRecogniser(params.recogniser, gravity_odom=gravity_odom, seed=seed)
             self.compare = recogniser.aligner.agreement
             self._ranking = ViewRanking(params, recogniser)
-        self._keyframes: list[Keyframe] = []
-        self._maxima: list[tuple[int, ...]] = []
+        self._scenes: list[Scene | None] = []
+        self._segments = GrowingArray((), np.int64)
+        self._stamps_s = GrowingArray((), np.float64)
+        self._maxima: deque[tuple[int, ...]] = deque(maxlen=params.tc)
 
     def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
         """Return the candidates of a keyframe, and store it."""
         # Keyframes from before a loss of odometry are searched whatever their age.
-        n_old = int(np.searchsorted([k.segment for k in self._keyframes], keyframe.segment))
-        stamps_s = [k.stamp_s for k in self._keyframes[n_old:]]
+        n_old = int(np.searchsorted(self._segments.rows, keyframe.segment))
+        stamps_s = self._stamps_s.rows[n_old:]
         n_old += int(
             np.searchsorted(stamps_s, keyframe.stamp_s - self.params.min_age_s, side="right")
         )
-        found = self._ranking.rank(keyframe, frame, self._keyframes[:n_old])
+        found = self._ranking.rank(keyframe, frame, n_old)
         checked = [self._check(keyframe, candidate) for candidate in found.candidates]
         if n_old:
             self._count(found.candidates, checked)
-        self._maxima.append(tuple(c.match_id for c in checked))
-        self._keyframes.append(keyframe)
+        self._store(keyframe, [c.match_id for c in checked])
         return replace(found, candidates=checked)
 
     def remember(
@@ -125,10 +128,15 @@ class LoopDetector:
     ) -> None:
         """Store a keyframe of a saved map with the candidates that were found for it."""
         self._ranking.remember(keyframe, frame)
-        self._maxima.append(
-            tuple(c.match_id for c in candidates if c.source != CandidateSource.PROXIMITY)
+        self._store(
+            keyframe, [c.match_id for c in candidates if c.source != CandidateSource.PROXIMITY]
         )
-        self._keyframes.append(keyframe)
+
+    def remove(self, keyframe_ids: Collection[int]) -> None:
+        """Remove keyframes from all later searches."""
+        self._ranking.remove(keyframe_ids)
+        for keyframe_id in keyframe_ids:
+            self._scenes[keyframe_id] = None
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Prepare for keyframes with another odometry frame and its rough gravity (3,)."""
@@ -149,7 +157,7 @@ class LoopDetector:
 
         With bags all keyframes are searched, as in the paper.
         """
-        p, newest = self.params, self._keyframes[-1].id
+        p, newest = self.params, len(self._scenes) - 1
         if any(
             loop.query_id == newest
             and loop.kind == EdgeKind.LOOP
@@ -164,9 +172,7 @@ class LoopDetector:
         p = self.params
         candidate = replace(
             candidate,
-            scene_agreement=scene_agreement(
-                keyframe.scene, self._keyframes[candidate.match_id].scene
-            ),
+            scene_agreement=scene_agreement(keyframe.scene, self._scenes[candidate.match_id]),
             n_consistent=self._count_consistent(candidate.match_id),
         )
         if candidate.decision:
@@ -214,12 +220,16 @@ class LoopDetector:
 
     def _count_consistent(self, match_id: int) -> int:
         """Count the last ``tc`` keyframes that had a maximum near ``match_id``."""
-        p = self.params
-        recent = self._maxima[-p.tc :] if p.tc else []
         return sum(
-            any(abs(other - match_id) <= p.max_index_difference for other in maxima)
-            for maxima in recent
+            any(abs(other - match_id) <= self.params.max_index_difference for other in maxima)
+            for maxima in self._maxima
         )
+
+    def _store(self, keyframe: Keyframe, maxima: list[int]) -> None:
+        self._scenes.append(keyframe.scene)
+        self._segments.append(keyframe.segment)
+        self._stamps_s.append(keyframe.stamp_s)
+        self._maxima.append(tuple(maxima))
 
 
 def scene_agreement(a: Scene | None, b: Scene | None) -> float:

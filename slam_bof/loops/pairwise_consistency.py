@@ -90,6 +90,11 @@ class ConsistencyGate:
         self._recent += new
         return admitted
 
+    @property
+    def waiting(self) -> list[Loop]:
+        """The loops that wait for others, or that others may still agree with."""
+        return [held.loop for held in self._recent]
+
     def _add_supporter(self, held: _Held, supporter_id: int) -> list[Loop]:
         """Add a supporter; return the loop if it now has just enough of them."""
         before = len(held.supporters)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, Literal, NamedTuple
@@ -15,7 +15,7 @@ from slam_bof.geometry import se3
 from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoiningParams
 from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
 from slam_bof.places import Compare
-from slam_bof.ports import Verifier
+from slam_bof.ports import ForgettingVerifier, Verifier
 from slam_bof.types import (
     Array,
     Candidate,
@@ -126,11 +126,25 @@ class LoopVerification:
         """Take the next keyframe: its depth image, and the points (N, 3) chosen of it."""
         self._prepared.append(self._verifier.prepare(frame, points_camera))
 
+    def remove(self, keyframe_ids: Collection[int]) -> None:
+        """Forget what was prepared of keyframes that will not be verified again."""
+        for keyframe_id in keyframe_ids:
+            if isinstance(self._verifier, ForgettingVerifier):
+                self._verifier.forget(self._prepared[keyframe_id])
+            self._prepared[keyframe_id] = None
+
+    @property
+    def waiting(self) -> set[int]:
+        """Ids of the keyframes of loops that wait for others to agree."""
+        loops = [*self._gate.waiting, *self._join_gate.waiting]
+        return {id_ for loop in loops for id_ in (loop.query_id, loop.match_id)}
+
     def verify(
         self,
         candidates: Sequence[Candidate],
         T_map_camera: Array,
         *,
+        path_m: Array | None = None,
         components: NDArray[np.integer[Any]] | None = None,
         guesses: Mapping[int, Pose] = MappingProxyType({}),
     ) -> Verified:
@@ -139,13 +153,18 @@ class LoopVerification:
         Those accepted already are aligned for their pose; the verdict does not veto them, but
         where so few points meet that the pose stays open there is no edge.
 
-        ``T_map_camera`` (K, 4, 4) are the poses of all keyframes in the map so far, and
-        ``components`` (K,) the component of each (by default all are in one); poses of different
-        components cannot be compared. ``guesses`` are the poses ``T_match_query`` that
+        ``T_map_camera`` (K, 4, 4) are the poses of all keyframes in the map so far, ``path_m`` (K,)
+        is how far the camera had travelled at each (by default in a straight line from one to the
+        next), and ``components`` (K,) the component of each (by default all are in one); poses of
+        different components cannot be compared. ``guesses`` are the poses ``T_match_query`` that
         recognition has already found, by ``match_id``.
         """
         if components is None:
             components = np.zeros(len(T_map_camera), dtype=np.int64)
+        if path_m is None:
+            steps_m = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
+            # How far components are from each other says nothing of how far the camera went.
+            path_m = np.append(0.0, np.cumsum(steps_m * (np.diff(components) == 0)))
         judged: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
@@ -168,7 +187,7 @@ class LoopVerification:
                 decision, reason = _take(candidate, verified)
             else:
                 reason = verified.reason or self._reason_against(
-                    candidate, verified, T_map_camera, components
+                    candidate, verified, T_map_camera, path_m, components
                 )
                 decision = Decision.REJECTED if reason else Decision.ACCEPTED
             if decision == Decision.ACCEPTED:
@@ -248,6 +267,7 @@ class LoopVerification:
         candidate: Candidate,
         verified: Verification,
         T_map_camera: Array,
+        path_m: Array,
         components: NDArray[np.integer[Any]],
     ) -> str:
         """Return why a well-aligned pair is no loop all the same, or nothing."""
@@ -265,21 +285,18 @@ class LoopVerification:
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
         if components[candidate.match_id] != components[candidate.query_id]:
             return ""
-        way = slice(candidate.match_id, candidate.query_id + 1)
-        between = T_map_camera[way]
-        steps_m = np.linalg.norm(np.diff(between[:, :3, 3], axis=0), axis=1)
-        # How far components are from each other says nothing of how far the camera went.
-        path_m = float(steps_m[np.diff(components[way]) == 0].sum())
+        between_m = float(path_m[candidate.query_id] - path_m[candidate.match_id])
+        T_map_match, T_map_query = T_map_camera[[candidate.match_id, candidate.query_id]]
         moved_m, turned_rad = _size(
-            se3.inverse(verified.T_match_query) @ se3.inverse(between[0]) @ between[-1]
+            se3.inverse(verified.T_match_query) @ se3.inverse(T_map_match) @ T_map_query
         )
         if (
-            moved_m > p.max_correction_m + p.drift_m_per_m * path_m
-            or turned_rad > p.max_correction_rad + p.drift_rad_per_m * path_m
+            moved_m > p.max_correction_m + p.drift_m_per_m * between_m
+            or turned_rad > p.max_correction_rad + p.drift_rad_per_m * between_m
         ):
             return (
                 f"would move the map by {moved_m:.2f} m and {turned_rad:.2f} rad, "
-                f"more than drift over {path_m:.1f} m explains"
+                f"more than drift over {between_m:.1f} m explains"
             )
         return ""
 

@@ -19,7 +19,9 @@ from .merging import (
     merge_maps as merge_maps,
 )
 from .occupancy_grid import (
+    OccupancyGrid as OccupancyGrid,
     OccupancyGridParams as OccupancyGridParams,
+    build_occupancy_grid as build_occupancy_grid,
 )
 from .point_cloud import (
     write_sequence_cloud as write_sequence_cloud,

@@ -37,7 +37,8 @@ class LocalizedFrame:
 class MapLocalizer:
     """Localizes depth images in a saved map and labels them with the map's model.
 
-    Of a map with several components, which no loop connects, the largest is used.
+    Of a map with several components, which no loop connects, the largest is used. Culled keyframes
+    are not compared with.
 
     Examples
     --------
@@ -91,7 +92,9 @@ class MapLocalizer:
             config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
             made_with = store.parameters().get("model")
             model = models.resolve(models.name_by_hash(config.model, made_with))
-            largest = np.flatnonzero(choose_component(store))
+            anchors = store.anchors()
+            searched = choose_component(store) & (anchors == np.arange(len(anchors)))
+            largest = np.flatnonzero(searched)
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,
@@ -123,7 +126,7 @@ class MapLocalizer:
             raise DatasetError(
                 f"found a frame of {frame.intrinsics}, expected the map's camera, {self.intrinsics}"
             )
-        frame = replace(frame, intrinsics=self.intrinsics).with_sensor(self._sensor)
+        frame = replace(frame, intrinsics=self.intrinsics).corrected(self._sensor)
         localization = self._localizer.localize(frame)
         scene = None if self._labeller is None else self._labeller.label(frame)
         if localization.keyframe_id is None:

@@ -66,6 +66,7 @@ class MapSession:
         camera: Intrinsics | None = None,
         config: Config | str | Path | None = None,
         sequence: str = "",
+        background: bool = False,
     ) -> Self:
         """Open a map for another session, or make a new one if there is no file.
 
@@ -81,6 +82,8 @@ class MapSession:
             last session, or ``indoor`` for a new map.
         sequence
             Name of the session, for ``slam-bof map info``.
+        background
+            Whether keyframes are processed beside the caller; see ``LoopCloser.from_config``.
 
         Raises
         ------
@@ -101,7 +104,8 @@ class MapSession:
             if not isinstance(config, Config):
                 config = configs.resolve(str(config or "indoor"))
             config = with_model_of(store, configs.complete(config))
-            closer = LoopCloser.from_config(config)
+            closer = LoopCloser.from_config(config, background=background)
+            on_error.callback(closer.close)
             check_session(store, camera, sequence or "this session", closer)
             session = Session(
                 id=len(sessions),
@@ -115,6 +119,11 @@ class MapSession:
             on_error.pop_all()
         return cls(store, session, config, closer)
 
+    def wait(self) -> None:
+        """Wait until all keyframes so far are in the map; the store may be read until the next."""
+        self.closer.drain()
+        self._writer.wait()
+
     def finish(self) -> Trajectory:
         """Finish the session, close the map and return ``T_map_camera`` of every frame.
 
@@ -122,6 +131,7 @@ class MapSession:
         """
         with self.store:
             with self._writer:
+                self.closer.drain()
                 self.closer.journal = None
             self.trajectory = self.closer.finish()
             finish_session(self.closer, self.store, self.session, self._config)
@@ -198,6 +208,7 @@ def finish_session(
             config.labels,
             config.rooms,
             components=closer.map.components,
+            anchors=closer.map.anchors,
         )
     store.finish(
         session.id,

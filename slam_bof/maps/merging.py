@@ -85,13 +85,14 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
                 target.begin_session(replace(session, id=id_, is_finished=False))
                 tails[id_] = _add_session(keyframes, target, other, session.id)
     keyframes.graph.optimize()
-    T_map_camera, graph = keyframes.graph.poses(), keyframes.graph
+    T_map_camera, graph = keyframes.poses(), keyframes.graph
     smoothed, regions = label_map(
         keyframes.keyframes,
         T_map_camera,
         config.labels,
         config.rooms,
         components=keyframes.components,
+        anchors=keyframes.anchors,
     )
     for id_, frames in tails.items():
         result = SessionResult(
@@ -131,6 +132,7 @@ def _add_session(
             old, id=len(keyframes), session=keyframes.session, segment=old.segment + later
         )
         verified = keyframes.add(keyframe, restore_frame(record.depth, keyframe.stamp_s))
+        culled = keyframes.cull()
         own = tuple(frames[start : keyframe.frame_index + 1])
         start = keyframe.frame_index + 1
         target.write(
@@ -141,6 +143,7 @@ def _add_session(
                 candidates=tuple(verified.candidates),
                 measured=tuple(verified.measured),
                 admitted=tuple(verified.admitted),
+                culled=culled,
                 state={},
             )
         )

@@ -8,7 +8,7 @@ propagated by odometry and aligned as well, so that a place is not lost in a vie
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -172,6 +172,12 @@ class PlaceRecogniser:
         The cost of a search therefore depends on the size of the place, not on the time spent.
         """
         self._index.pop()
+
+    def remove(self, view_ids: Collection[int]) -> None:
+        """Remove views for good; the ids of the others do not change."""
+        self._index.remove(view_ids)
+        for view_id in view_ids:
+            self.aligner.drop(view_id)
 
     def begin_session(self, gravity_odom: ArrayLike) -> None:
         """Prepare for views with another odometry frame and its rough gravity ``gravity_odom``."""

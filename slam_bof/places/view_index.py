@@ -9,7 +9,9 @@ panorama changes when the camera translates.
 from __future__ import annotations
 
 from bisect import bisect_left
+from collections.abc import Collection
 from dataclasses import dataclass
+from itertools import compress
 from typing import Any, Literal
 
 import numpy as np
@@ -93,6 +95,14 @@ class ViewIndex:
         self._index.pop()
         self._panoramas.truncate(len(self._ids))
         self._steps.truncate(len(self._ids))
+
+    def remove(self, view_ids: Collection[int]) -> None:
+        """Remove views; those that the index does not have are ignored."""
+        is_kept = ~np.isin(self._ids, list(view_ids))
+        self._index.keep(is_kept)
+        self._panoramas.keep(is_kept)
+        self._steps.keep(is_kept)
+        self._ids = list(compress(self._ids, is_kept))
 
     def neighbours(self, view_id: int, n: int, below: int) -> list[int]:
         """Return the ids of a view and of ``n`` stored views before and after it, all < below."""

@@ -1,6 +1,13 @@
 from .folder import (
     read_run as read_run,
 )
+from .many import (
+    SequenceRun as SequenceRun,
+    run_sequences as run_sequences,
+)
+from .plan import (
+    read_plan as read_plan,
+)
 from .run import (
     RunInterrupted as RunInterrupted,
     RunResult as RunResult,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import json
 import logging
 import os
+import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -14,9 +16,10 @@ from pathlib import Path
 
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
+from slam_bof.run.plan import read_plan
 from slam_bof.slam import of_session
 from slam_bof.store import MapStore
-from slam_bof.visualization import ReportData
+from slam_bof.visualization import FrameHealth, ReportData
 
 __all__ = [
     "as_run_errors",
@@ -24,6 +27,7 @@ __all__ = [
     "logging_to",
     "make_folder",
     "read_run",
+    "rerun_command",
 ]
 
 logger = logging.getLogger(__name__)
@@ -143,4 +147,30 @@ def read_run(folder: Path) -> ReportData:
             keyframes=[replace(keyframe, id=keyframe.id - ids.start) for keyframe in own],
             loops=of_session(store.loops(), ids),
             candidates=of_session(store.candidates(), ids),
+            plan=read_plan(store),
+            health=_read_health(folder / "health.csv"),
+            command=rerun_command(folder, store),
+            configuration=_read_if_there(folder / "config.yaml"),
         )
+
+
+def rerun_command(folder: Path, store: MapStore) -> str:
+    """Return the command line that repeats a run; empty if its sequence is not known."""
+    source = json.loads(store.parameters().get("source") or "{}")
+    if not source:
+        return ""
+    frames = f" --frames {source['frames']}" if source.get("frames") else ""
+    limit = store.sessions()[-1].max_frames
+    limited = "" if limit is None else f" --max-frames {limit}"
+    path = shlex.quote(source["path"])
+    return f"slam-bof run {path}{frames}{limited} --config {shlex.quote(str(folder))}/config.yaml"
+
+
+def _read_health(path: Path) -> list[FrameHealth]:
+    """Read health.csv; empty for a run of a version that did not write it."""
+    rows = csv.DictReader(_read_if_there(path).splitlines())
+    return [FrameHealth(row["health"], int(row["n_open"])) for row in rows]
+
+
+def _read_if_there(path: Path) -> str:
+    return path.read_text(encoding="utf-8") if path.is_file() else ""

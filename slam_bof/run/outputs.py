@@ -14,11 +14,13 @@ import numpy as np
 from slam_bof.core import keep_going
 from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
+from slam_bof.run.folder import rerun_command
 from slam_bof.run.metrics import Metrics
+from slam_bof.run.plan import read_plan
 from slam_bof.run.record import RunRecord
-from slam_bof.store import largest_component
+from slam_bof.store import MapStore, largest_component
 from slam_bof.types import Candidate, Keyframe, Trajectory
-from slam_bof.visualization import ReportData, write_report
+from slam_bof.visualization import FrameHealth, ReportData, write_report
 
 __all__ = ["write_outputs", "write_trajectory"]
 
@@ -26,11 +28,15 @@ logger = logging.getLogger(__name__)
 
 
 def write_outputs(
-    folder: Path, record: RunRecord, metrics: Metrics, warn: Callable[[str], None]
+    folder: Path,
+    record: RunRecord,
+    metrics: Metrics,
+    store: MapStore,
+    warn: Callable[[str], None],
 ) -> None:
     """Write everything but the two estimated trajectories and ``map.db``, which come first.
 
-    ``warn`` is called with a message for a file that cannot be made.
+    ``store`` is the map. ``warn`` is called with a message for a file that cannot be made.
     """
     result = record.result
     frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
@@ -38,6 +44,7 @@ def write_outputs(
     (folder / "metrics.json").write_text(text, encoding="utf-8")
     if record.groundtruth is not None:
         write_trajectory(folder, "groundtruth", record.groundtruth)
+    _write_health(folder / "health.csv", result.optimized, record.health)
     _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes)
     with keep_going("pose_graph.g2o", warn):
         record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
@@ -54,7 +61,7 @@ def write_outputs(
             z_up=record.z_up,
         )
     with keep_going("report.html", warn):
-        write_report(folder / "report.html", _report_data(record, metrics))
+        write_report(folder / "report.html", _report_data(folder, record, metrics, store))
 
 
 def write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
@@ -91,7 +98,17 @@ def _write_audit_trail(
             )
 
 
-def _report_data(record: RunRecord, metrics: Metrics) -> ReportData:
+def _write_health(path: Path, frames: Trajectory, health: Sequence[FrameHealth]) -> None:
+    """Write one row for each frame: its time, how it was tracked, and its open directions."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["stamp_s", *FrameHealth._fields])
+        writer.writerows(
+            [stamp_s, *one] for stamp_s, one in zip(frames.stamps_s, health, strict=True)
+        )
+
+
+def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapStore) -> ReportData:
     result = record.result
     return ReportData(
         metrics=metrics,
@@ -105,4 +122,8 @@ def _report_data(record: RunRecord, metrics: Metrics) -> ReportData:
         loops=result.loops,
         candidates=record.candidates,
         true_scenes=record.true_scenes,
+        plan=read_plan(store),
+        health=record.health,
+        command=rerun_command(folder, store),
+        configuration=(folder / "config.yaml").read_text(encoding="utf-8"),
     )

@@ -9,6 +9,7 @@ from slam_bof.core import StageClock, Usage
 from slam_bof.ports import Dataset
 from slam_bof.slam import LoopCloser, SlamResult
 from slam_bof.types import Candidate, Scene, Trajectory
+from slam_bof.visualization import FrameHealth
 
 __all__ = ["RunRecord"]
 
@@ -35,6 +36,8 @@ class RunRecord:
         Whether ``map.ply`` may have the colour of the data set.
     z_up
         Whether ``map.ply`` is in a frame with z up instead of that of the map.
+    health
+        How each frame of ``result`` was tracked.
     usage, clock
         Time spent in this process.
     """
@@ -50,5 +53,6 @@ class RunRecord:
     true_scenes: Sequence[str] | None
     with_color: bool
     z_up: bool
+    health: Sequence[FrameHealth]
     usage: Usage
     clock: StageClock

@@ -260,7 +260,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
             "different components are not comparable, and map.ply shows the largest"
         )
     metrics = compute_metrics(record)
-    write_outputs(folder, record, metrics, job.observer.on_warning)
+    write_outputs(folder, record, metrics, store, job.observer.on_warning)
     logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])
     return RunResult(folder, metrics)
 
@@ -286,6 +286,7 @@ def _finish(
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
         with_color=job.with_color,
         z_up=job.z_up,
+        health=job.observer.health,
         usage=used,
         clock=job.clock,
     )

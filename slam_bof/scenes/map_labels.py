@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.scenes.hmm_filter import SceneFilterParams
 from slam_bof.scenes.hmm_smoother import smooth
@@ -22,6 +24,7 @@ def label_map(
     rooms: RoomSegmentationParams | None = None,
     *,
     components: ArrayLike | None = None,
+    anchors: NDArray[np.integer[Any]] | None = None,
 ) -> tuple[list[Scene | None], list[MapRoom]]:
     """Smooth the labels of keyframes over the whole trajectory, and segment the map into rooms.
 
@@ -33,6 +36,10 @@ def label_map(
         Parameters of the smoothing and of the segmentation.
     components
         (K,) component of the pose graph of each keyframe; by default all are in one.
+
+    anchors
+        (K,) the id of each keyframe, or that of its anchor if it was culled. Culled keyframes are
+        in the room of their anchor. By default none was culled.
 
     Returns
     -------
@@ -58,4 +65,16 @@ def label_map(
     scenes: list[Scene | None] = [None] * len(keyframes)
     for k, scene in zip(ids, smoothed, strict=True):
         scenes[k] = scene
-    return scenes, segment_rooms(scenes, positions_m, rooms, components=components)
+    if anchors is None:
+        return scenes, segment_rooms(scenes, positions_m, rooms, components=components)
+    in_use = [s if anchors[k] == k else None for k, s in enumerate(scenes)]
+    found = segment_rooms(in_use, positions_m, rooms, components=components)
+    return scenes, [_with_culled(room, scenes, anchors) for room in found]
+
+
+def _with_culled(
+    room: MapRoom, scenes: Sequence[Scene | None], anchors: NDArray[np.integer[Any]]
+) -> MapRoom:
+    """Return a room with the keyframes whose anchors stand in it, as far as they have a label."""
+    inside = np.flatnonzero(np.isin(anchors, room.keyframe_ids)).tolist()
+    return replace(room, keyframe_ids=tuple(k for k in inside if scenes[k] is not None))

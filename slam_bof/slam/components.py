@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import DisjointSet
 
-__all__ = ["MapComponents"]
+from slam_bof.core import GrowingArray
+
+__all__ = ["CULLED", "MapComponents"]
+
+CULLED = -1
+"""Component of keyframes that were culled, where only those in use are looked for."""
 
 
 class MapComponents:
@@ -24,23 +28,40 @@ class MapComponents:
     """
 
     def __init__(self) -> None:
-        self._segments: list[int] = []
-        self._joined: DisjointSet = DisjointSet()
+        self._of_segment: dict[int, int] = {}
+        self._of_keyframe = GrowingArray((), np.int64)
+        self._in_use = GrowingArray((), np.int64)
 
     def __len__(self) -> int:
         """Return the number of components."""
-        return int(self._joined.n_subsets)
+        return len(set(self._of_segment.values()))
 
     def add(self, segment: int) -> None:
         """Add the next keyframe, given its segment."""
-        self._segments.append(segment)
-        self._joined.add(segment)
+        component = self._of_segment.setdefault(segment, segment)
+        self._of_keyframe.append(component)
+        self._in_use.append(component)
 
     def join(self, keyframe_id: int, other_id: int) -> None:
         """Join the components of two keyframes."""
-        self._joined.merge(self._segments[keyframe_id], self._segments[other_id])
+        joined = self._of_keyframe.rows[[keyframe_id, other_id]]
+        older, younger = int(joined.min()), int(joined.max())
+        if older == younger:
+            return
+        for components in (self._of_keyframe, self._in_use):
+            components.put(components.rows == younger, older)
+        for segment, component in self._of_segment.items():
+            if component == younger:
+                self._of_segment[segment] = older
+
+    def cull(self, keyframe_ids: list[int]) -> None:
+        """Count keyframes as no longer in use."""
+        self._in_use.put(keyframe_ids, CULLED)
 
     def of_keyframes(self) -> NDArray[np.int64]:
         """Return the component (K,) of each keyframe, named by the first of its segments."""
-        component = {segment: min(self._joined.subset(segment)) for segment in self._joined}
-        return np.array([component[segment] for segment in self._segments], dtype=np.int64)
+        return self._of_keyframe.rows
+
+    def in_use(self) -> NDArray[np.int64]:
+        """Return the same, but ``CULLED`` for keyframes that were culled."""
+        return self._in_use.rows

@@ -14,6 +14,7 @@ from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams, VirtualCameraParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
 from slam_bof.scenes import RoomSegmentationParams, SceneFilterParams
+from slam_bof.slam.keyframe_culling import MapParams
 from slam_bof.tracking import KeyframeParams, TrackingParams
 from slam_bof.types import Params, SensorParams
 
@@ -122,6 +123,7 @@ class Config(Params):
     loops: LoopParams = LoopParams()
     covisibility: CovisibilityParams = CovisibilityParams()
     verification: VerificationParams = VerificationParams()
+    map: MapParams = MapParams()
     gravity_odom: tuple[float, float, float] = Field(
         (0.0, 1.0, 0.0),
         description="Direction of gravity in the odometry frame. The default is right if the "

@@ -6,8 +6,9 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from slam_bof.geometry import spread_correction
+from slam_bof.geometry import se3, spread_correction
 from slam_bof.types import LOST, Array, FramePose, Keyframe, Trajectory
 
 __all__ = ["FrameHistory"]
@@ -52,17 +53,21 @@ class FrameHistory:
     ) -> Trajectory:
         """Return the sensor pose of each frame, corrected by the keyframe poses (K, 4, 4).
 
-        Without keyframes the poses are those of tracking.
+        Between keyframes, frames move as odometry or as tracking has them, whichever is nearer to
+        the map from keyframe to keyframe. Without keyframes the poses are those of tracking.
         """
         stamps_s = np.array([frame.stamp_s for frame in self.frames])
         poses = np.array([frame.T_odom_camera for frame in self.frames]).reshape(-1, 4, 4)
         if keyframes:
+            raw = np.array([frame.T_odom_raw for frame in self.frames])
+            at = np.array([keyframe.frame_index for keyframe in keyframes])
+            segments = np.array([frame.segment for frame in self.frames])
+            T_map_keyframes = np.asarray(T_map_keyframes)
+            off, off_raw = (
+                _mean_difference(T[at], T_map_keyframes, segments[at]) for T in (poses, raw)
+            )
             poses = spread_correction(
-                poses,
-                stamps_s,
-                np.array([keyframe.frame_index for keyframe in keyframes]),
-                np.asarray(T_map_keyframes),
-                np.array([frame.segment for frame in self.frames]),
+                raw if off_raw < off else poses, stamps_s, at, T_map_keyframes, segments
             )
         return Trajectory(stamps_s, poses @ self._T_view_camera())
 
@@ -75,3 +80,10 @@ class FrameHistory:
     def _T_view_camera(self) -> Array:
         views = [frame.T_view_camera for frame in self.frames]
         return np.array([np.eye(4) if T is None else T for T in views]).reshape(-1, 4, 4)
+
+
+def _mean_difference(poses: Array, T_map_keyframes: Array, segments: NDArray[np.intp]) -> float:
+    """Return by how much the steps of two tracks (K, 4, 4) differ, in m; 0 if there are none."""
+    steps, map_steps = (se3.inverse(T[:-1]) @ T[1:] for T in (poses, T_map_keyframes))
+    off = (se3.inverse(map_steps) @ steps)[np.diff(segments) == 0]
+    return float(np.linalg.norm(off[:, :3, 3], axis=1).mean()) if len(off) else 0.0

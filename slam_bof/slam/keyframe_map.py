@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,9 +28,11 @@ from slam_bof.loops import (
 from slam_bof.ports import Backend
 from slam_bof.scenes import SceneFilter, model as models
 from slam_bof.slam.config import Config
+from slam_bof.slam.keyframe_culling import KeyframeCulling
 from slam_bof.slam.pose_graph import MapGraph
 from slam_bof.types import (
     Array,
+    Bag,
     Candidate,
     CandidateSource,
     Decision,
@@ -43,6 +46,7 @@ from slam_bof.types import (
 
 __all__ = ["KeyframeMap"]
 
+NO_WORDS = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
 N_OVERLAP_POINTS = 200
 """Approximate number of points used to measure the overlap of two keyframes."""
 
@@ -94,6 +98,14 @@ class KeyframeMap:
         self.graph = MapGraph(
             registry.build("backends", config.backend.name, config.backend.options)
         )
+        consistency = config.verification.consistency
+        self._culling = KeyframeCulling(
+            config.map,
+            window=consistency.window,
+            max_distance_m=consistency.max_distance_m,
+            max_angle_rad=consistency.max_angle_rad,
+        )
+        self._can_cull = config.map.cull and config.loops.by == "views" and self.graph.can_cull
         self._clock = clock
 
     def __len__(self) -> int:
@@ -135,6 +147,16 @@ class KeyframeMap:
         return self.graph.components.of_keyframes()
 
     @property
+    def in_use(self) -> NDArray[np.int64]:
+        """Ids (n,) of the keyframes that were not culled."""
+        return self.graph.in_use
+
+    @property
+    def anchors(self) -> NDArray[np.int64]:
+        """The id (K,) of each keyframe, or that of its anchor if it was culled."""
+        return self.graph.anchors
+
+    @property
     def loop_counts(self) -> LoopCounts:
         """Numbers of keyframes of this session by the stage that their loop search reached."""
         return self._detector.counts
@@ -160,6 +182,7 @@ class KeyframeMap:
         *,
         segment: int,
         step_covariance: Array | None = None,
+        T_odom_raw: Pose | None = None,
     ) -> Keyframe:
         """Describe and label a frame as the next keyframe."""
         with self._clock.stage("describe"):
@@ -189,6 +212,7 @@ class KeyframeMap:
             smoothed=smoothed,
             session=self.session,
             step_covariance=step_covariance,
+            T_odom_raw=T_odom_raw,
         )
 
     def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
@@ -201,17 +225,32 @@ class KeyframeMap:
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
             proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
-            T_map_camera = self.graph.poses()
+            T_map_camera, components = self.graph.T_map_camera, self.graph.components.in_use()
             covisible = self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
             self._verification.add(frame, points)
             verified = self._verification.verify(
                 found.candidates + covisible,
                 T_map_camera,
-                components=self.components,
+                path_m=self.graph.path_m,
+                components=components,
                 guesses=found.guesses,
             )
-        self._add_loops(keyframe, verified.admitted)
+        self._add_loops(verified.admitted)
+        if self._can_cull:
+            self._culling.undecided.append(keyframe.id)
         return verified
+
+    def cull(self) -> tuple[tuple[int, int], ...]:
+        """Let go of keyframes that show nothing new; return the id of each and of its anchor.
+
+        They leave the search, the stored views and the pose graph; ``poses`` still has them.
+        """
+        if not self._can_cull:
+            return ()
+        with self._clock.stage("optimize"):
+            anchors = self._culling.choose(self.graph, self._verification.waiting)
+            self._let_go(anchors)
+        return tuple(anchors.items())
 
     def replay(self, record: KeyframeRecord) -> None:
         """Replay a saved keyframe: restore labels, index and graph without searching again."""
@@ -231,25 +270,45 @@ class KeyframeMap:
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
         loops = [loop for loop in record.measured if loop.kind == EdgeKind.LOOP]
-        self._verification.admit(loops, self.graph.poses(), self.components)
-        self._add_loops(keyframe, record.admitted)
+        components = self.graph.components.in_use()
+        self._verification.admit(loops, self.graph.T_map_camera, components)
+        self._add_loops(record.admitted)
+        self._let_go(dict(record.culled))
 
     def state(self) -> dict[str, Any]:
         """Return the state that keyframe records do not contain, as JSON values."""
-        n = self._verification.n_global_registrations
-        return self._detector.state() | {"n_global_registrations": n}
+        return self._detector.state() | {
+            "n_global_registrations": self._verification.n_global_registrations,
+            "undecided": list(self._culling.undecided),
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Restore a state of ``state``, after its keyframes were replayed."""
         self._detector.restore(state)
         self._verification.n_global_registrations = state.get("n_global_registrations", 0)
+        self._culling.undecided = list(state.get("undecided", ()))
 
-    def _add_loops(self, keyframe: Keyframe, loops: Iterable[Loop]) -> None:
+    def _let_go(self, anchors: dict[int, int]) -> None:
+        if not anchors or not self.graph.can_cull:
+            return
+        self.graph.cull(anchors, self._config.map.max_edges)
+        self._detector.remove(anchors)
+        self._verification.remove(anchors)
+        self._follow_newest()
+        for keyframe_id in anchors:
+            self.keyframes[keyframe_id] = replace(self.keyframes[keyframe_id], bag=NO_WORDS)
+
+    def _add_loops(self, loops: Iterable[Loop]) -> None:
         loops = list(loops)
         self._detector.on_loops_accepted(loops)
         with self._clock.stage("optimize"):
             self.graph.add_loops(loops)
-            self.T_map_track = self.poses()[-1] @ se3.inverse(keyframe.T_odom_camera)
+            self._follow_newest()
+
+    def _follow_newest(self) -> None:
+        """Correct the track by where the map has its newest keyframe."""
+        T_odom_camera = self.keyframes[-1].T_odom_camera
+        self.T_map_track = self.graph.T_map_camera[-1] @ se3.inverse(T_odom_camera)
 
     def _cloud_params(self, frame: DepthFrame) -> PointParams:
         """Return the parameters of the point cloud, limited to pixels that a saved map keeps."""
@@ -270,11 +329,11 @@ class KeyframeMap:
         """Return keyframes, without ``found``, that see the same surfaces according to the map."""
         p = self._config.covisibility
         stride = max(1, len(points) // N_OVERLAP_POINTS)
+        components = self.graph.components.in_use()
+        ids = np.flatnonzero(components[:-1] == components[-1])
         overlaps = view_overlap(
-            points[::stride], T_map_camera[-1], T_map_camera[:-1], frame.intrinsics, p.max_range_m
+            points[::stride], T_map_camera[-1], T_map_camera[ids], frame.intrinsics, p.max_range_m
         )
-        components = self.components
-        overlaps[components[:-1] != components[-1]] = 0.0
         min_age_s = self._detector.params.min_age_s
         return [
             Candidate(
@@ -286,6 +345,6 @@ class KeyframeMap:
                 or keyframe.stamp_s - self.keyframes[match_id].stamp_s >= min_age_s
                 else EdgeKind.COVISIBILITY,
             )
-            for match_id in choose_covisible(overlaps, p)
+            for match_id in choose_covisible(ids, overlaps, p)
             if match_id not in found
         ]

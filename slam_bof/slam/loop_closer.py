@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,12 +19,12 @@ from slam_bof.geometry import (
     quantize_depth,
     restore_frame,
     se3,
-    subsample,
 )
-from slam_bof.loops import Verified
+from slam_bof.slam.background import BackgroundMapping
 from slam_bof.slam.config import Config, preset, resolve
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
+from slam_bof.slam.mapping import DirectMapping, KeyframeJob, Mapping, MapUpdate
 from slam_bof.tracking import KeyframeSelector, Track, Tracker
 from slam_bof.types import (
     LOST,
@@ -35,6 +35,7 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Pose,
+    SensorParams,
     Step,
     Trajectory,
 )
@@ -48,6 +49,20 @@ Journal = Callable[[KeyframeRecord], None]
 """Called with the record of each new keyframe to save it, such as ``MapWriter.write``. What it
 raises ends the call of the loop closer, which has processed the frame all the same; the record
 comes again before that of the next keyframe, and at the end."""
+
+
+FIELDS = (
+    *("history", "n_postponed", "_tracker", "_camera", "_session"),
+    *("_newest", "_chosen", "_T_map_track", "_updates", "_last"),
+)
+"""Attributes of a loop closer that refer to other objects after a call."""
+
+
+class _Chosen(NamedTuple):
+    """The newest frame of this session that became a keyframe, and its segment."""
+
+    frame_index: int
+    segment: int
 
 
 class LoopCloser:
@@ -69,6 +84,7 @@ class LoopCloser:
         *,
         journal: Journal | None = None,
         clock: StageClock | None = None,
+        background: bool = False,
     ) -> None:
         self.history = FrameHistory()
         self.journal = journal
@@ -77,19 +93,35 @@ class LoopCloser:
         self._selector = KeyframeSelector(config.keyframes)
         self._clock = clock or StageClock()
         self._config = config
-        self._map = KeyframeMap(config, self._clock)
+        mapping = BackgroundMapping if background else DirectMapping
+        self._mapping: Mapping = mapping(config, self._clock)
+        self._map = self._mapping.map
         self._camera: Intrinsics | None = None
         self._refused_stamp_s = -np.inf
+        self._session = 0
+        self._newest: Keyframe | None = None
+        self._chosen: _Chosen | None = None
+        self._T_map_track: Pose = np.eye(4)
+        self._last: tuple[Track, Pose] | None = None
+        self._updates: list[MapUpdate] = []
         self._unsaved: list[KeyframeRecord] = []
+        self.n_postponed = 0
+        """Number of frames that came while too many keyframes waited for one more."""
         self._lock = threading.Lock()
         self._owner: int | None = None
         self._before: Checkpoint | None = None
         self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
     @classmethod
-    def from_preset(cls, name: str = "indoor", *, journal: Journal | None = None) -> Self:
-        """Build a loop closer from a preset by name: ``indoor`` or ``paper``."""
-        return cls.from_config(preset(name), journal=journal)
+    def from_preset(
+        cls,
+        name: str = "indoor",
+        *,
+        journal: Journal | None = None,
+        background: bool = False,
+    ) -> Self:
+        """Build one from a preset by name, ``indoor`` or ``paper``; see ``from_config``."""
+        return cls.from_config(preset(name), journal=journal, background=background)
 
     @classmethod
     def from_config(
@@ -98,13 +130,26 @@ class LoopCloser:
         *,
         journal: Journal | None = None,
         clock: StageClock | None = None,
+        background: bool = False,
     ) -> Self:
         """Build a loop closer from a configuration, the name of a preset or of a YAML file.
 
-        ``journal`` is called with the record of each new keyframe.
+        Parameters
+        ----------
+        config
+            The configuration, or the name of a preset or of a YAML file.
+        journal
+            Is called with the record of each new keyframe.
+        clock
+            Adds up the time that each stage takes.
+        background
+            Whether keyframes are described, searched for, verified and optimised in a process of
+            their own, so that ``process`` only tracks. What came of a keyframe is then returned by
+            a later call, and an error of it is raised by one. While 8 keyframes wait, no frame
+            becomes a keyframe (``n_postponed``); none is dropped.
         """
         config = config if isinstance(config, Config) else resolve(str(config))
-        return cls(config, journal=journal, clock=clock)
+        return cls(config, journal=journal, clock=clock, background=background)
 
     @one_blas_thread()
     def process(
@@ -143,6 +188,9 @@ class LoopCloser:
             accepted with the next frame that confirms it.
         RuntimeError
             If it is called from inside another call, such as by the journal.
+        Exception
+            In the background, what an earlier keyframe has raised, which is then not in the map.
+            This frame has not been processed, and may be given again.
         """
         with self._whole() as before:
             return self._process(before, frame, T_odom_camera, covariance, T_view_camera)
@@ -159,7 +207,7 @@ class LoopCloser:
         frame_index = len(self.history)
         step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
         frame, T_odom_camera = self._check(frame, T_odom_camera)
-        frame = quantize_depth(frame.with_sensor(self._config.sensor))
+        frame = quantize_depth(frame.corrected(self.sensor))
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera, step_covariance)
         segment = LOST if track.is_lost else track.segment
@@ -170,32 +218,41 @@ class LoopCloser:
             self._selector.reset()
             # Relocalisation was confirmed by the frame before, so it belongs to the new segment.
             self.history.assign_previous(track.segment)
-        if not track.is_lost and self._selector.select(
+        if self._mapping.is_full:
+            self.n_postponed += 1
+        elif not track.is_lost and self._selector.select(
             frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
-            before.save(self._map)
+            before.save(self._mapping)
             self._tracker.keep()
             self.history.frames[-1] = replace(
                 self.history.frames[-1], step_covariance=track.step_covariance
             )
-            unsaved = tuple(self.frames_since_keyframe)
-            keyframe = self._map.describe(
-                frame_index,
-                frame,
-                track.T_odom_camera,
-                segment=track.segment,
-                step_covariance=track.step_covariance,
+            self._chosen = _Chosen(frame_index, track.segment)
+            is_saved = self.journal is not None
+            state = self._state() if is_saved else {}
+            update = self._mapping.submit(
+                KeyframeJob(frame_index, frame, T_odom_camera, track, state, is_saved)
             )
-            verified = self._map.add(keyframe, frame)
-            self._record(keyframe, frame, unsaved, verified)
-            loops, candidates = tuple(verified.admitted), tuple(verified.candidates)
-            step = Step(keyframe, keyframe.scene, loops, candidates, np.eye(4))
-        else:
-            scene = self._map.keyframes[-1].scene if self._map.keyframes else None
-            step = Step(None, scene, (), (), np.eye(4), is_lost=track.is_lost)
-        T_map_camera = self._map.T_map_track @ track.T_odom_camera
-        T_map_odom = T_map_camera @ se3.inverse(T_odom_camera)
-        return replace(step, T_map_odom=T_map_odom, open_axes=track.open_axes)
+            if update is not None:
+                self._apply(update)
+        self._last = track, T_odom_camera
+        return self._step(track, T_odom_camera)
+
+    def _step(self, track: Track, T_odom_camera: Pose) -> Step:
+        """Return the result of a frame, and of the keyframes that are in the map since the last."""
+        updates, self._updates = self._updates, []
+        T_map_camera = self._T_map_track @ track.T_odom_camera
+        return Step(
+            updates[-1].keyframe if updates else None,
+            self._newest.scene if self._newest else None,
+            tuple(loop for update in updates for loop in update.verified.admitted),
+            tuple(candidate for update in updates for candidate in update.verified.candidates),
+            T_map_camera @ se3.inverse(T_odom_camera),
+            is_lost=track.is_lost,
+            open_axes=track.open_axes,
+            T_map_camera=T_map_camera,
+        )
 
     @one_blas_thread()
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
@@ -242,8 +299,8 @@ class LoopCloser:
         Keyframes that the journal could not save are passed to it again. If it fails again, set
         ``journal`` to None and call once more to get the trajectory all the same.
         """
-        with self._whole() as before:
-            before.save(self._map)
+        with self._whole(wait=True) as before:
+            before.save(self._mapping)
             with self._clock.stage("optimize"):
                 self._map.graph.optimize()
             own = self._map.of_session
@@ -262,8 +319,8 @@ class LoopCloser:
         ValueError
             If this loop closer has processed frames before.
         """
-        with self._whole() as before:
-            before.save(self._map)
+        with self._whole(wait=True) as before:
+            before.save(self._mapping)
             self._restore(records)
 
     def _restore(self, records: Iterable[KeyframeRecord]) -> None:
@@ -277,6 +334,10 @@ class LoopCloser:
             self._camera = record.depth.intrinsics
             self.history.frames.extend(record.frames)
             self._map.replay(record)
+            self._newest = record.keyframe
+        if record is not None:
+            self._T_map_track = self._map.T_map_track
+            self._chosen = _Chosen(record.keyframe.frame_index, record.keyframe.segment)
         if record is None or not record.state:
             return  # a pruned map cannot be resumed, only continued by another session
         frame = restore_frame(record.depth, record.keyframe.stamp_s)
@@ -294,22 +355,64 @@ class LoopCloser:
         The clock may restart. The new keyframes form a separate component of the pose graph until
         loops join it to the earlier ones.
         """
-        with self._whole() as before:
-            before.save(self._map)
+        with self._whole(wait=True) as before:
+            before.save(self._mapping)
             self._begin_session()
 
     def _begin_session(self) -> None:
         """Do what ``begin_session`` says."""
         self._map.begin_session()
+        self._session += 1
         self.history = FrameHistory()
-        segment = self._map.keyframes[-1].segment + 1 if self._map.keyframes else 0
+        self._chosen = self._last = None
+        segment = self._newest.segment + 1 if self._newest else 0
         self._tracker = Tracker(self._config.tracking, seed=self._config.seed, segment=segment)
         self._selector.reset()
 
+    def poll(self) -> Step | None:
+        """Return the step of the newest frame as it is now; None before the first frame.
+
+        Between frames, or after the last, it brings what came of keyframes in the background.
+        """
+        with self._whole():
+            return None if self._last is None else self._step(*self._last)
+
+    def drain(self) -> None:
+        """Wait until all keyframes so far are in the map; the next step returns what came of them.
+
+        Raises
+        ------
+        Exception
+            If a keyframe could not be processed in the background.
+        """
+        with self._whole(wait=True):
+            pass
+
+    def close(self) -> None:
+        """End the process in the background, if there is one; this loop closer is of no use then.
+
+        It ends by itself when the loop closer is garbage, or the program ends.
+        """
+        self._mapping.close()
+
     @property
     def map(self) -> KeyframeMap:
-        """The keyframes, their pose graph and their loops, for reading only."""
+        """The keyframes, their pose graph and their loops, for reading only.
+
+        In the background, each attribute is that of the moment when all keyframes so far are in the
+        map; to read it waits until then.
+        """
         return self._map
+
+    @property
+    def n_waiting(self) -> int:
+        """Number of keyframes that are not in the map yet; 0 unless in the background."""
+        return self._mapping.n_waiting
+
+    @property
+    def sensor(self) -> SensorParams:
+        """The parameters of the depth sensor."""
+        return self._config.sensor
 
     @property
     def n_odometry_lost(self) -> int:
@@ -324,8 +427,14 @@ class LoopCloser:
     @property
     def frames_since_keyframe(self) -> list[FramePose]:
         """The frames of this session after its newest keyframe."""
-        own = self._map.of_session
-        return self.history.frames[own[-1].frame_index + 1 if own else 0 :]
+        return self.history.frames[self._first_unsaved :]
+
+    @property
+    def _first_unsaved(self) -> int:
+        """Index of the first frame of this session after its newest keyframe in the map."""
+        newest = self._newest
+        is_own = newest is not None and newest.session == self._session
+        return newest.frame_index + 1 if newest is not None and is_own else 0
 
     def _check(self, frame: DepthFrame, T_odom_camera: Pose) -> tuple[DepthFrame, Pose]:
         """Check the input of ``process``; return it by the first frame's camera, and as float64."""
@@ -366,34 +475,54 @@ class LoopCloser:
 
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""
-        return (
-            not track.is_lost
-            and len(self._map.keyframes) > self._map.first_keyframe
-            and self._map.keyframes[-1].segment != track.segment
-        )
+        chosen = self._chosen
+        return not track.is_lost and chosen is not None and chosen.segment != track.segment
 
     @contextmanager
-    def _whole(self) -> Iterator[Checkpoint]:
-        """Run a call alone. If it does not come to its end, take back all that it did."""
+    def _whole(self, *, wait: bool = False) -> Iterator[Checkpoint]:
+        """Run a call alone. If it does not come to its end, take back all that it did.
+
+        With ``wait`` all keyframes so far are in the map before it begins.
+        """
         if self._lock.locked() and self._owner == threading.get_ident():
             raise RuntimeError("called from inside another call of the same loop closer")
         with self._lock:
             try:
                 self._owner = threading.get_ident()
                 self._take_back()
-                before = Checkpoint()
-                before.save_attributes(self, "history", "_tracker", "_camera")
-                before.save(self.history, self._tracker, self._selector, self._cloud_camera)
-                before.save(self._unsaved)
-                self._before = before
-                yield before
+                self._mapping.send()
+                if wait:
+                    self._mapping.drain()
+                self._receive()
+                yield self._begin()
                 self._before = None
+                self._mapping.send()
                 self._save()
             except BaseException:
                 self._take_back()
                 raise
             finally:
                 self._owner = None
+
+    def _begin(self) -> Checkpoint:
+        """Return the present state, to which ``_take_back`` returns."""
+        before = Checkpoint()
+        before.save_attributes(self, *FIELDS)
+        before.save(self.history, self._tracker, self._selector, self._cloud_camera)
+        before.save(self._updates, self._unsaved)
+        self._before = before
+        return before
+
+    def _receive(self) -> None:
+        """Take in the keyframes that were processed in the background since the last call."""
+        finished = self._mapping.finished()
+        if finished:
+            self._begin()
+            for update in finished:
+                if self._newest is None or update.keyframe.id > self._newest.id:
+                    self._apply(update)
+            self._before = None
+            self._mapping.forget(len(finished))
 
     def _take_back(self) -> None:
         """Return to the state before a call that did not come to its end, if there was one."""
@@ -408,31 +537,31 @@ class LoopCloser:
                 self.journal(self._unsaved[0])
                 del self._unsaved[0]
 
-    def _record(
-        self,
-        keyframe: Keyframe,
-        frame: DepthFrame,
-        unsaved: tuple[FramePose, ...],
-        verified: Verified,
-    ) -> None:
-        """Make the record of a new keyframe for the journal."""
-        if self.journal is None:
-            return
-        with self._clock.stage("save"):
+    def _apply(self, update: MapUpdate) -> None:
+        """Go on from a keyframe that is in the map, and make its record for the journal."""
+        keyframe, verified = update.keyframe, update.verified
+        if update.depth is not None:
             record = KeyframeRecord(
                 keyframe=keyframe,
-                depth=subsample(frame),
-                frames=unsaved,
+                depth=update.depth,
+                frames=tuple(self.history.frames[self._first_unsaved : keyframe.frame_index + 1]),
                 candidates=tuple(verified.candidates),
                 measured=tuple(verified.measured),
                 admitted=tuple(verified.admitted),
-                state={
-                    "tracker": self._tracker.state(),
-                    "detector": self._map.state(),
-                    "is_around": self._cloud_camera.is_around,
-                },
+                culled=update.culled,
+                state=update.state,
             )
             self._unsaved.append(record)
+        self._newest, self._T_map_track = keyframe, update.T_map_track
+        self._updates.append(update)
+
+    def _state(self) -> dict[str, Any]:
+        """Return the state that keyframes do not contain, as JSON values; the map adds its own."""
+        return {
+            "tracker": self._tracker.state(),
+            "detector": None,
+            "is_around": self._cloud_camera.is_around,
+        }
 
 
 def _rotation_first(covariance: ArrayLike, frame_index: int) -> Array:

@@ -2,63 +2,200 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
+from slam_bof.core import Checkpoint, GrowingArray
 from slam_bof.geometry import se3
-from slam_bof.ports import Backend
+from slam_bof.ports import Backend, ContractingBackend
 from slam_bof.slam.components import MapComponents
-from slam_bof.types import Array, Keyframe, Loop
+from slam_bof.slam.loop_log import LoopLog
+from slam_bof.slam.odometry_noise import OdometryNoise
+from slam_bof.types import Array, EdgeKind, Keyframe, Loop
 
 __all__ = ["MapGraph"]
 
+MAX_RELATIVE_SIGMA = 2.0
+"""Odometry replaces tracking if it is not less precise than an edge by more than this factor."""
+
 
 class MapGraph:
-    """Takes keyframes and loops in the order they come; joins components that loops join."""
+    """Takes keyframes and loops in the order they come; joins components that loops join.
+
+    Steps from keyframe to keyframe are those of tracking. If odometry turns out to be as precise as
+    the edges between keyframes, they become those of odometry in the final optimisation.
+
+    Attributes
+    ----------
+    backend
+        Holds the nodes and edges in use.
+    components
+        The component of each keyframe.
+    log
+        All edges that ever entered the graph.
+    in_use
+        Ids (n,) of the keyframes that were not culled, in order.
+    """
 
     def __init__(self, backend: Backend) -> None:
         self.backend = backend
         self.components = MapComponents()
-        self.loops: list[Loop] = []
-        self.left_out: list[Loop] = []
-        self._added: list[Loop] = []
+        self.log = LoopLog()
+        self.in_use: NDArray[np.int64] = np.empty(0, np.int64)
+        self._left_out: set[int] = set()
+        self._T_map_camera = GrowingArray((4, 4), np.float64)
+        self._anchors = GrowingArray((), np.int64)
+        self._T_anchor_keyframe = GrowingArray((4, 4), np.float64)
+        self._path_m = GrowingArray((), np.float64)
+        self._keyframes: dict[int, Keyframe] = {}
+        self._noise: dict[int, OdometryNoise] = {}
+
+    @property
+    def loops(self) -> list[Loop]:
+        """The edges, but for those left out. Edges of culled keyframes have no information."""
+        return [loop for k, loop in enumerate(self.log) if k not in self._left_out]
+
+    @property
+    def left_out(self) -> list[Loop]:
+        """The edges that the last ``optimize`` left out, because they contradict the others."""
+        return [self.log[k] for k in sorted(self._left_out)]
+
+    @property
+    def can_cull(self) -> bool:
+        """Whether the back-end can contract nodes."""
+        return isinstance(self.backend, ContractingBackend)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Add a node where odometry has it from the one before."""
         self.backend.add_keyframe(keyframe)
         self.components.add(keyframe.segment)
+        self._keyframes[keyframe.id] = keyframe
+        if keyframe.T_odom_raw is not None and keyframe.step_covariance is None:
+            self._noise_of(keyframe).add_keyframe(keyframe.id, keyframe.T_odom_raw)
+        self.in_use = np.append(self.in_use, keyframe.id)
+        self._T_map_camera.append(np.eye(4))
+        self._anchors.append(keyframe.id)
+        self._T_anchor_keyframe.append(np.eye(4))
+        self._refresh()
+        self._path_m.append(self._travelled_m())
 
     def add_loops(self, loops: Iterable[Loop]) -> None:
         """Add the edges that came with the newest keyframe, and bring the map up to date."""
         for loop in loops:
             self._join(loop)
             self.backend.add_loop(loop)
-            self.loops.append(loop)
-            self._added.append(loop)
+            self.log.append(loop)
+            self._learn(loop)
         self.backend.update()
+        self._refresh()
+
+    def cull(self, anchors: Mapping[int, int], max_edges: int) -> None:
+        """Contract keyframes into their anchors (values), which stay; their poses follow these.
+
+        ``max_edges`` is the number of edges of a keyframe up to which it inherits those of others.
+        """
+        culled = list(anchors)
+        if not culled:
+            return
+        assert isinstance(self.backend, ContractingBackend)
+        self._T_anchor_keyframe.put(culled, self.backend.contract(anchors, max_edges))
+        self._anchors.put(culled, list(anchors.values()))
+        self.components.cull(culled)
+        self.log.cull(culled)
+        for keyframe_id in culled:
+            self._noise_of(self._keyframes.pop(keyframe_id)).forget(keyframe_id)
+        self.in_use = self.in_use[~np.isin(self.in_use, culled)]
+        self._refresh()
 
     def optimize(self) -> None:
         """Optimise all of it; loops that contradict the rest move to those left out."""
-        if self._added:
-            kept = self.backend.optimize() >= 0.5
-            self.loops = list(itertools.compress(self._added, kept))
-            self.left_out = list(itertools.compress(self._added, ~kept))
+        if len(self.log):
+            self._choose_odometry()
+            self._left_out = set(np.flatnonzero(self.backend.optimize() < 0.5).tolist())
+            self._refresh()
 
     def poses(self) -> Array:
         """Return ``T_map_camera`` of every keyframe, (K, 4, 4)."""
-        return self.backend.poses()
+        poses = self._T_map_camera.rows.copy()
+        culled = np.flatnonzero(self.components.in_use() < 0)
+        anchors = poses[self._anchors.rows[culled]]
+        poses[culled] = anchors @ self._T_anchor_keyframe.rows[culled]
+        return poses
+
+    @property
+    def T_map_camera(self) -> Array:
+        """The poses (K, 4, 4) of keyframes in use by their ids; those of others are outdated."""
+        return self._T_map_camera.rows
+
+    @property
+    def path_m(self) -> Array:
+        """How far (K,) the camera had travelled at each keyframe, in m; losses do not count."""
+        return self._path_m.rows
+
+    @property
+    def anchors(self) -> NDArray[np.int64]:
+        """The id (K,) of each keyframe, or that of its anchor if it was culled."""
+        return self._anchors.rows
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the present graph; see ``core.Checkpoint``."""
+        before = Checkpoint()
+        before.save(vars(self))
+
+        def restore() -> None:
+            before.restore()
+            self._refresh()
+
+        return restore
+
+    def _refresh(self) -> None:
+        """Read the poses of keyframes in use from the back-end."""
+        self._T_map_camera.rows[self.in_use] = self.backend.poses()
+
+    def _travelled_m(self) -> float:
+        """Return how far the camera has come at the newest keyframe."""
+        components = self.components.of_keyframes()
+        if len(components) == 1:
+            return 0.0
+        before_m = float(self._path_m.rows[-1])
+        if components[-2] != components[-1]:
+            return before_m
+        step_m = np.diff(self._T_map_camera.rows[-2:, :3, 3], axis=0)
+        return before_m + float(np.linalg.norm(step_m))
+
+    def _learn(self, loop: Loop) -> None:
+        """Learn how precise odometry is from an edge of one uninterrupted track."""
+        match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
+        if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
+            self._noise_of(query).add_edge(loop.match_id, loop.query_id, loop.T_match_query)
+
+    def _noise_of(self, keyframe: Keyframe) -> OdometryNoise:
+        return self._noise.setdefault(keyframe.session, OdometryNoise())
+
+    def _choose_odometry(self) -> None:
+        """Let the steps of each session be those of odometry if it is precise, or of tracking."""
+        for noise in self._noise.values():
+            keyframes = [self._keyframes[k] for k in self.in_use]
+            keyframes = [k for k in keyframes if k.id in noise.T_odom_camera]
+            sigmas = noise.relative_sigmas()
+            if sigmas is None or sigmas.max() > MAX_RELATIVE_SIGMA:
+                self.backend.set_odometry({k.id: k.T_odom_camera for k in keyframes}, None)
+            else:
+                poses = {k.id: noise.T_odom_camera[k.id] for k in keyframes}
+                self.backend.set_odometry(poses, sigmas)
 
     def _join(self, loop: Loop) -> None:
         """Where the loop is between two components, carry the younger to the older."""
-        components = self.components.of_keyframes()
+        components = self.components.in_use()
         match, query = components[loop.match_id], components[loop.query_id]
         if match == query:
             return
-        T_map_camera = self.poses()
+        T_map_camera = self._T_map_camera.rows
         T_map_query = T_map_camera[loop.match_id] @ loop.T_match_query
         T = T_map_query @ se3.inverse(T_map_camera[loop.query_id])
         younger, T = (query, T) if query > match else (match, se3.inverse(T))
         self.backend.move(np.flatnonzero(components == younger), T)
         self.components.join(loop.match_id, loop.query_id)
+        self._refresh()

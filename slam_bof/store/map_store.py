@@ -14,6 +14,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.errors import MapError
 from slam_bof.geometry import restore_frame
@@ -146,6 +147,11 @@ class MapStore(MapDatabase):
             update_checksums(db, "views", "keyframe_id = ?", keyframe.id)
             self._add_frames(db, keyframe.session, first, record.frames)
             self._add_candidates(db, record)
+            db.executemany(
+                "INSERT INTO culled (keyframe_id, anchor_id, culled_by) VALUES (?, ?, ?)",
+                [(*pair, int(keyframe.id)) for pair in record.culled],
+            )
+            update_checksums(db, "culled", "culled_by = ?", keyframe.id)
             db.execute(
                 "UPDATE sessions SET state = ? WHERE id = ?",
                 (json.dumps(record.state), keyframe.session),
@@ -275,6 +281,14 @@ class MapStore(MapDatabase):
             if row["map_tx"] is not None:
                 poses[i] = decode_pose(row, "map_")
         return poses
+
+    def anchors(self) -> NDArray[np.int64]:
+        """Return the id (K,) of each keyframe, or that of its anchor if it was culled."""
+        ((n,),) = self.select("SELECT count(*) FROM keyframes")
+        anchors = np.arange(n)
+        for row in self.rows("culled", "WHERE keyframe_id < ?", n):  # and anchors are older
+            anchors[row["keyframe_id"]] = row["anchor_id"]
+        return anchors
 
     def regions(self) -> list[MapRoom]:
         """Return the rooms of the map; none until a session is finished."""

@@ -8,6 +8,7 @@ from pathlib import Path
 from slam_bof.errors import MapError
 from slam_bof.store.row_checks import find_fault
 from slam_bof.store.schema import (
+    CULLED_TABLE,
     KEY_COLUMNS,
     POSE_COLUMNS,
     SCHEMA_VERSION,
@@ -32,6 +33,7 @@ CREATE TABLE regions (
 """
 
 _OLD = ("keyframes", "candidates", "regions", "parameters", "loops")
+_TABLES_4 = tuple(name for name in KEY_COLUMNS if name != "culled")
 _OLD_VIEWS = ("keyframe_labels", "loop_audit")
 
 _TO_4 = f"""
@@ -68,7 +70,7 @@ DROP TABLE old_keyframes; DROP TABLE old_parameters;
 {VIEWS}
 """
 
-MIGRATABLE_VERSIONS = (2, 3)
+MIGRATABLE_VERSIONS = (2, 3, 4)
 """Older schema versions that can be migrated."""
 
 
@@ -85,7 +87,8 @@ def migrate(
     MapError
         If it has triggers or other additions, or, with ``in_place``, is damaged.
     """
-    expected = {("table", name) for name in _OLD} | {("view", name) for name in _OLD_VIEWS}
+    tables, views = (_TABLES_4, (*_OLD_VIEWS, "loops")) if version == 4 else (_OLD, _OLD_VIEWS)
+    expected = {("table", name) for name in tables} | {("view", name) for name in views}
     statements = db.execute(STATEMENTS).fetchall()
     if added := find_additions(expected, map(tuple, statements)):
         raise MapError(f"{path}: found {added}")
@@ -98,15 +101,10 @@ def migrate(
     db.execute("PRAGMA foreign_keys = OFF")
     db.execute("PRAGMA legacy_alter_table = ON")
     try:
-        db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
-        for table in ("keyframes", "candidates", "regions"):
-            _copy_rows(db, table)
-        for statement in _LOOPS_TO_4.split(";"):
-            db.execute(statement)
-        for table in KEY_COLUMNS:
-            update_checksums(db, table)
-        if in_place:
-            _check_rows(db, path)
+        if version == 4:
+            db.executescript("BEGIN;" + CULLED_TABLE)
+        else:
+            _migrate_to_4(db, version, path, in_place=in_place)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
         db.execute("COMMIT")
     except BaseException:
@@ -116,6 +114,19 @@ def migrate(
     db.execute("PRAGMA legacy_alter_table = OFF")
     db.execute("PRAGMA foreign_keys = ON")
     return db
+
+
+def _migrate_to_4(db: sqlite3.Connection, version: int, path: Path, *, in_place: bool) -> None:
+    """Begin a transaction, and change the tables of version 2 or 3."""
+    db.executescript("BEGIN;" + (_TO_3 if version == 2 else "") + _TO_4)
+    for table in ("keyframes", "candidates", "regions"):
+        _copy_rows(db, table)
+    for statement in _LOOPS_TO_4.split(";"):
+        db.execute(statement)
+    for table in KEY_COLUMNS:
+        update_checksums(db, table)
+    if in_place:
+        _check_rows(db, path)
 
 
 def _copy_rows(db: sqlite3.Connection, table: str) -> None:

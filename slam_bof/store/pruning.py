@@ -28,6 +28,9 @@ REFERENCES = (
     ("candidates", "query_id"),
     ("candidates", "match_id"),
     ("candidates", "admitted_by"),
+    ("culled", "keyframe_id"),
+    ("culled", "anchor_id"),
+    ("culled", "culled_by"),
     ("keyframes", "id"),
 )
 """The columns that hold ids of keyframes."""
@@ -108,10 +111,19 @@ def drop_keyframes(db: sqlite3.Connection, dropped: Collection[int]) -> None:
         "UPDATE candidates SET admitted_by = (SELECT min(id) FROM keyframes"
         " WHERE id > admitted_by AND id NOT IN gone) WHERE admitted_by IN gone"
     )
+    db.execute(
+        "UPDATE culled SET culled_by = (SELECT min(id) FROM keyframes"
+        " WHERE id > culled_by AND id NOT IN gone) WHERE culled_by IN gone"
+        " AND EXISTS (SELECT 1 FROM keyframes WHERE id > culled_by AND id NOT IN gone)"
+    )
     known = "(SELECT id FROM keyframes WHERE id NOT IN gone)"
     db.execute(
         f"DELETE FROM candidates WHERE query_id NOT IN {known} OR match_id NOT IN {known}"
         " OR (loop_id IS NOT NULL AND admitted_by IS NULL)"
+    )
+    db.execute(
+        f"DELETE FROM culled WHERE keyframe_id NOT IN {known} OR anchor_id NOT IN {known}"
+        f" OR culled_by NOT IN {known}"
     )
     db.execute(f"DELETE FROM views WHERE keyframe_id NOT IN {known}")
     db.execute("DELETE FROM keyframes WHERE id IN gone")

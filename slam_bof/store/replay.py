@@ -35,6 +35,7 @@ def replay_keyframes(
     """
     states = {row["id"]: json.loads(row["state"] or "{}") for row in store.rows("sessions", "")}
     starts: dict[int, int] = {}
+    gone: set[int] = set()
     for row in store.keyframe_rows():
         keyframe = store.decode(row)
         start = starts.get(keyframe.session, 0)
@@ -59,11 +60,20 @@ def replay_keyframes(
             keyframe.id,
             -1 if reopened_session is None else reopened_session,
         )
+        rows = store.rows("culled", "WHERE culled_by = ? ORDER BY keyframe_id", keyframe.id)
+        culled = tuple((row["keyframe_id"], row["anchor_id"]) for row in rows)
+        gone |= dict(culled).keys()
+        if wrong := [pair for pair in culled if pair[1] in gone]:
+            raise MapError(
+                f"{store.path}: found keyframe {wrong[0][1]}, which was culled, as the anchor of "
+                f"keyframe {wrong[0][0]}, expected one in use"
+            )
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
             keyframe=replace(
                 keyframe,
                 T_odom_camera=poses[-1].T_odom_camera,
+                T_odom_raw=poses[-1].T_odom_raw,
                 step_covariance=poses[-1].step_covariance,
             ),
             depth=store.depth_of(views[0]),
@@ -71,5 +81,6 @@ def replay_keyframes(
             candidates=tuple(map(decode_candidate, own)),
             measured=tuple(decode_loop(row) for row in own if row["information"] is not None),
             admitted=tuple(map(decode_loop, admitted)),
+            culled=culled,
             state=states[keyframe.session],
         )

@@ -145,6 +145,10 @@ def _check_candidate(row: Row) -> None:
     _expect((row["loop_id"] is None) == (row["admitted_by"] is None), "admitted_by")
 
 
+def _check_culled(row: Row) -> None:
+    _expect(0 <= row["anchor_id"] < row["keyframe_id"] < row["culled_by"], "anchor_id")
+
+
 def _check_region(row: Row) -> None:
     _check_probability(row, "probability")
     _expect(min(row["id"], row["n_keyframes"]) >= 0, "n_keyframes")
@@ -181,6 +185,7 @@ CHECKS: dict[str, Callable[[Row], None]] = {
     "views": _check_view,
     "frames": _check_frame,
     "candidates": _check_candidate,
+    "culled": _check_culled,
     "regions": _check_region,
     "parameters": _check_parameter,
 }

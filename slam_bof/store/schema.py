@@ -36,6 +36,9 @@ table           columns
                 ``loop_id``, their order of entry, and ``admitted_by``, the newest keyframe at
                 that time. ``left_out_by`` is the session whose final optimisation left the
                 loop out again.
+``culled``      The keyframes that the map no longer searches, because others show the same:
+                ``keyframe_id``; ``anchor_id``, the keyframe that its pose is fixed to;
+                ``culled_by``, the newest keyframe at that time.
 ``regions``     Rooms: ``id``, ``label``, ``probability``, ``n_keyframes``; ``center_*``,
                 ``low_*`` and ``high_*`` of the camera positions, in metres, in the map frame.
 ``parameters``  ``key`` and ``value``: ``classes``, the scene labels as a JSON list; ``camera``;
@@ -53,6 +56,7 @@ from __future__ import annotations
 __all__ = [
     "APPLICATION_ID",
     "BOX_COLUMNS",
+    "CULLED_TABLE",
     "KEY_COLUMNS",
     "POSE_COLUMNS",
     "SCHEMA",
@@ -60,7 +64,7 @@ __all__ = [
     "SMOOTHED_COLUMNS",
 ]
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 APPLICATION_ID = 0x424F464D
 """Marks a database as a map of slam_bof ("BOFM")."""
 
@@ -83,10 +87,21 @@ KEY_COLUMNS = {
     "views": "keyframe_id",
     "frames": "id",
     "candidates": "id",
+    "culled": "keyframe_id",
     "regions": "id",
     "parameters": "key",
 }
 """The tables, whose rows all have a ``crc``, and the column that identifies a row of each."""
+
+CULLED_TABLE = """
+CREATE TABLE culled (
+    keyframe_id INTEGER PRIMARY KEY REFERENCES keyframes (id),
+    anchor_id INTEGER NOT NULL REFERENCES keyframes (id),
+    culled_by INTEGER NOT NULL REFERENCES keyframes (id),
+    crc INTEGER
+);
+"""
+"""Added with version 5."""
 
 TABLES = f"""
 CREATE TABLE parameters (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER);
@@ -170,6 +185,7 @@ CREATE TABLE regions (
     {", ".join(f"{name} REAL NOT NULL" for name in BOX_COLUMNS)},
     crc INTEGER
 );
+{CULLED_TABLE}
 """
 
 VIEWS = f"""

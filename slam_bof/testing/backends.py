@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from slam_bof.geometry import se3
-from slam_bof.ports import Backend
+from slam_bof.ports import Backend, ContractingBackend
 from slam_bof.testing.scenery import expect, expect_rigid
 from slam_bof.types import Array, Bag, CandidateSource, EdgeKind, Keyframe, Loop
 
@@ -24,8 +24,9 @@ def check_backend(make: Callable[[], Backend]) -> None:
     """Check that a back-end obeys its port.
 
     Without loops the map is the odometry; true loops reduce drift, at once and at the end; a wrong
-    one among many is weighed below 0.5; ``move`` carries a part; the graph is written as g2o;
-    the same input gives the same bytes.
+    one among many is weighed below 0.5; ``move`` carries a part; ``set_odometry`` replaces the
+    odometry; ``contract``, if there is one, removes nodes and leaves the others where they are; the
+    graph is written as g2o; the same input gives the same bytes.
 
     Parameters
     ----------
@@ -49,6 +50,10 @@ def check_backend(make: Callable[[], Backend]) -> None:
         expect_rigid(T, f"pose {index}")
     _check_g2o(closed)
     _check_move(make())
+    _check_set_odometry(make())
+    contracting = make()
+    if isinstance(contracting, ContractingBackend):
+        _check_contract(contracting)
 
 
 def _closed(backend: Backend, truth: Array, odometry: Array) -> Backend:
@@ -112,6 +117,40 @@ def _check_move(backend: Backend) -> None:
     after = backend.poses()
     _expect_near(after[younger], T @ before[younger], 1e-2, "move must carry the nodes by T")
     _expect_near(after[: N + 1], before[: N + 1], 1e-2, "move must leave the other nodes alone")
+
+
+def _check_set_odometry(backend: Backend) -> None:
+    """Replace steps that drift by true ones, which are precise."""
+    truth, odometry = _twice_round()
+    _add(backend, odometry)
+    loop = se3.inverse(odometry[0]) @ odometry[N]
+    backend.add_loop(Loop(N, 0, loop, 100.0 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
+    backend.update()
+    backend.set_odometry(dict(enumerate(truth)), np.full(2, 0.01))
+    backend.optimize()
+    _expect_near(backend.poses(), truth, 1e-2, "precise steps must outweigh a loop")
+
+
+def _check_contract(backend: ContractingBackend) -> None:
+    """Contract the nodes of the second round into those of the first."""
+    truth, odometry = _twice_round()
+    _add(backend, odometry)
+    for k in range(N):
+        T = se3.inverse(truth[k]) @ truth[N + k]
+        backend.add_loop(Loop(N + k, k, T, 100.0 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW))
+    backend.update()
+    backend.optimize()
+    before = backend.poses()
+    T_anchor_node = backend.contract({N + k: k for k in range(N)}, 12)
+    stay = [*range(N), 2 * N]
+    _expect_near(backend.poses(), before[stay], 1e-3, "contract must leave the other nodes alone")
+    expected = se3.inverse(before[:N]) @ before[N : 2 * N]
+    _expect_near(T_anchor_node, expected, 1e-3, "contract must return where the nodes go")
+    weights = backend.optimize()
+    expect(len(weights) == N, f"a weight for each loop ever added is expected, got {len(weights)}")
+    off_m = float(np.linalg.norm((backend.poses() - before[stay])[:, :3, 3], axis=1).max())
+    drift_m = _error_m(odometry, truth)
+    expect(off_m < 0.3 * drift_m, f"the others must stay about where they are, off by {off_m:.3f}")
 
 
 def _twice_round() -> tuple[Array, Array]:

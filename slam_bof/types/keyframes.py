@@ -24,7 +24,8 @@ class Keyframe:
     also takes the keyframes before it into account. ``session`` is the number of the run, from 0,
     that the keyframe comes from: a map may hold several runs, each with its own frames and
     odometry. ``step_covariance`` (6, 6) is that of the step since the keyframe before, rotation
-    first in rad^2 and m^2, and None where the odometry's covariance is not known.
+    first in rad^2 and m^2, and None where the odometry's covariance is not known. ``T_odom_raw`` is
+    the pose from odometry as it was given.
     """
 
     id: int
@@ -37,6 +38,7 @@ class Keyframe:
     smoothed: Scene | None = None
     session: int = 0
     step_covariance: Array | None = None
+    T_odom_raw: Pose | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,8 +48,9 @@ class KeyframeRecord:
     ``frames`` are the frames after the keyframe before, up to and including this one.
     ``measured`` are the loops of this keyframe that geometry verified. ``admitted`` are the loops
     that entered the graph with it, in that order: some of ``measured`` may be missing, and held
-    loops of earlier keyframes may be among them. ``state`` is the remaining state of the plug-in
-    as JSON values.
+    loops of earlier keyframes may be among them. ``culled`` are the ids of keyframes that the map
+    let go of with it, each with the id of its anchor, which its pose is fixed to. ``state`` is the
+    remaining state of the plug-in as JSON values.
     """
 
     keyframe: Keyframe
@@ -57,6 +60,7 @@ class KeyframeRecord:
     measured: tuple[Loop, ...]
     admitted: tuple[Loop, ...]
     state: dict[str, Any]
+    culled: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,7 +73,8 @@ class Step:
     ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
     wrong and no better one is known. ``open_axes`` (6, k) are the directions in which the surfaces
     in sight hold nothing, as tangents of the camera's pose, rotation first; the pose along them is
-    that of odometry.
+    that of odometry. ``T_map_camera`` is the pose of the frame in the map; None for a frame that
+    was restored from an interrupted run.
     """
 
     keyframe: Keyframe | None
@@ -79,6 +84,7 @@ class Step:
     T_map_odom: Pose
     is_lost: bool = False
     open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
+    T_map_camera: Pose | None = None
 
     @property
     def health(self) -> str:

@@ -5,6 +5,9 @@ from .bof_figures import (
 from .figures import (
     draw_precision_recall as draw_precision_recall,
 )
+from .live_view import (
+    LiveView as LiveView,
+)
 from .matrix_images import (
     draw_loop_matrix as draw_loop_matrix,
     write_png as write_png,
@@ -14,7 +17,14 @@ from .misses_page import (
     find_missed_queries as find_missed_queries,
     write_missed_queries as write_missed_queries,
 )
+from .plan import (
+    Plan as Plan,
+)
+from .plan_figure import (
+    draw_plan as draw_plan,
+)
 from .run_report import (
+    FrameHealth as FrameHealth,
     ReportData as ReportData,
     write_report as write_report,
 )

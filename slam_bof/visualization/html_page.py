@@ -7,7 +7,7 @@ from html import escape
 from string import Template
 from typing import Any
 
-__all__ = ["Metrics", "cards", "figure_html", "render_page", "section", "tables"]
+__all__ = ["Metrics", "cards", "details", "figure_html", "render_page", "section", "tables"]
 
 Metrics = Mapping[str, str | int | float | None]
 
@@ -71,6 +71,11 @@ def section(heading: str, text: str, *figures: str) -> str:
         f"<section><h2>{escape(heading)}</h2><p>{escape(text)}</p>"
         f'<div class="figures columns-{len(figures)}">{cells}</div></section>\n'
     )
+
+
+def details(summary: str, text: str) -> str:
+    """Return preformatted text that opens when its summary is clicked."""
+    return f"<details><summary>{escape(summary)}</summary><pre>{escape(text)}</pre></details>"
 
 
 def figure_html(figure: Any, div_id: str) -> str:

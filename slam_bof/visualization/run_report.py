@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,11 +25,19 @@ from slam_bof.types import (
     Trajectory,
 )
 from slam_bof.visualization import html_page as page
+from slam_bof.visualization.plan import Plan
 
-__all__ = ["ReportData", "write_report"]
+__all__ = ["FrameHealth", "ReportData", "write_report"]
 
 N_REASONS = 15
 """Number of reasons that the report counts."""
+
+
+class FrameHealth(NamedTuple):
+    """How a frame was tracked: ``Step.health``, and the number of open directions."""
+
+    health: str
+    n_open: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +56,12 @@ class ReportData:
         In order of time; a keyframe's ``frame_index`` is an index of the frames above.
     true_scenes
         The true label of each keyframe, None where unknown.
+    plan
+        The plan of the map that the session belongs to, None if there is none.
+    health
+        Of every frame; empty if it is not known.
+    command, configuration
+        What makes the run again: a command line, and the configuration as YAML.
     """
 
     metrics: Mapping[str, str | int | float | None]
@@ -57,6 +72,10 @@ class ReportData:
     loops: Sequence[Loop] = ()
     candidates: Sequence[Candidate] = ()
     true_scenes: Sequence[str | None] | None = None
+    plan: Plan | None = None
+    health: Sequence[FrameHealth] = ()
+    command: str = ""
+    configuration: str = ""
 
     def __post_init__(self) -> None:
         """Check the lengths."""
@@ -102,9 +121,13 @@ def _subtitle(data: ReportData) -> str:
 
 def _sections(data: ReportData) -> Iterator[str]:
     truth = _truth_by_frame(data)
+    if data.plan is not None:
+        yield _plan_section(data, data.plan)
     yield _trajectory_section(data, truth)
     if truth is not None:
         yield _error_section(data, truth)
+    if len(data.health) == len(data.optimized) > 0:
+        yield _health_section(data)
     considered = [c for c in data.candidates if c.kind == EdgeKind.LOOP]
     if considered:
         yield _candidate_section(data, considered)
@@ -121,6 +144,43 @@ def _sections(data: ReportData) -> Iterator[str]:
     if data.metrics:
         text = "The content of metrics.json, rounded."
         yield page.section("All metrics", text, page.tables(data.metrics))
+    if data.command or data.configuration:
+        yield page.section(
+            "How it was made",
+            "The same command and configuration give the same bytes.",
+            page.details(data.command or "The configuration", data.configuration),
+        )
+
+
+def _plan_section(data: ReportData, plan: Plan) -> str:
+    from slam_bof.visualization.plan_figure import draw_plan
+
+    text = (
+        "The place from above: walls and furniture are dark, what was seen to be free is light, "
+        "in the colour of its room, and what was not seen is grey. Points are keyframes."
+    )
+    n_components = data.metrics.get("n_components")
+    if isinstance(n_components, int) and n_components > 1:
+        text += " Only the largest component of the map is drawn."
+    path = data.optimized.poses[:, :3, 3] if n_components in (None, 1) else np.empty((0, 3))
+    return page.section("Place", text, page.figure_html(draw_plan(plan, path), "plan"))
+
+
+def _health_section(data: ReportData) -> str:
+    from slam_bof.visualization import figures
+
+    n_open = np.array([frame.n_open for frame in data.health])
+    is_lost = np.array([frame.health == "lost" for frame in data.health])
+    times_s = _since_start(data, data.optimized.stamps_s)
+    counts = Counter(frame.health for frame in data.health)
+    listed = ", ".join(f"{n} {health}" for health, n in counts.most_common())
+    return page.section(
+        "Tracking",
+        f"Of {len(data.health)} frames: {listed}. In a degenerate frame the surfaces in sight "
+        "leave directions open, along which the pose is that of odometry; in a lost one odometry "
+        "contradicts what is seen.",
+        page.figure_html(figures.draw_health(times_s, n_open, is_lost), "health"),
+    )
 
 
 def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:

@@ -146,6 +146,25 @@ def test_lists_hold_all_postings_in_order():
     assert all((p.views == p.x).all() and (p.x[:, None] == p.phases).all() for p in held)
 
 
+def test_views_that_are_not_kept_are_as_if_they_had_never_been_added():
+    index, other = ConstellationIndex(), ConstellationIndex()
+    is_kept = np.arange(200) % 3 == 0
+    for seed in range(200):
+        index.add(view(seed))
+        if is_kept[seed]:
+            other.add(view(seed))
+    index.keep(is_kept)
+    for one in (index, other):
+        one.add(view(1000))
+        one.pop()  # the newest can still be dropped
+        one.add(view(1001))
+    assert (len(index), index.nbytes) == (len(other), other.nbytes) == (68, other.nbytes)
+    for seed in (0, 3, 4, 198, 1001):
+        found, expected = index.find(view(seed), 20), other.find(view(seed), 20)
+        np.testing.assert_array_equal(found.view_ids, expected.view_ids)
+        np.testing.assert_array_equal(found.scores, expected.scores)
+
+
 def test_common_shapes_do_not_vote_where_votes_are_many(index):
     """With a tenth of the votes, most views are found all the same; without any, none is."""
     few = ConstellationIndex(IndexParams(max_votes=400))
@@ -161,3 +180,12 @@ def test_common_shapes_do_not_vote_where_votes_are_many(index):
         assert len(candidates) <= len(index.candidates(query, 10))
         assert len(none.candidates(query, 10)) == 0
     assert found >= 12
+
+
+@pytest.mark.parametrize(("max_views_beside", "is_found"), [(0, False), (1, True)])
+def test_slices_beside_are_looked_in_while_the_map_is_small(max_views_beside, is_found):
+    index = ConstellationIndex(IndexParams(max_views_beside=max_views_beside))
+    index.add(view(3))
+    higher = view(3)._replace(slices=view(3).slices + np.int8(1))
+    assert (0 in index.candidates(higher, 1)) == is_found
+    assert 0 in index.candidates(view(3), 1)

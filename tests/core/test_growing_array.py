@@ -36,3 +36,17 @@ def test_truncated_rows_make_room_for_others():
 def test_a_row_of_another_shape_is_refused():
     with pytest.raises(ValueError, match="broadcast"):
         GrowingArray((2,), np.float32).append([1.0, 2.0, 3.0])
+
+
+def test_rows_that_are_kept_move_up():
+    stack = GrowingArray((), np.int64)
+    stack.extend(np.arange(6))
+    stack.keep(np.array([True, False, True, False, False, True]))
+    restore = stack.checkpoint()
+    stack.append(9)
+    stack.put([0, 1], 7)
+    assert stack.rows.tolist() == [7, 7, 5, 9]
+    stack.keep(np.array([False, True, True, False]))
+    assert stack.rows.tolist() == [7, 5]
+    restore()
+    assert stack.rows.tolist() == [0, 2, 5]

@@ -119,3 +119,24 @@ def test_samples_are_of_known_pixels_and_the_first_of_them_the_same(views):
     assert len(np.unique(points, axis=0)) == 30
     np.testing.assert_array_equal(views.sampled(0, 7), points[:7])
     assert views.nbytes == 2 * 48 * (4 + 3) + 2 * 2 * 30 * 4
+
+
+def test_the_memory_of_a_dropped_view_is_used_again(views):
+    n_bytes = views.nbytes
+    views.drop(0)
+    assert views.nbytes == n_bytes / 2
+    with pytest.raises(KeyError, match="dropped"):
+        views.sampled(0)
+    with pytest.raises(KeyError, match="no view 0"):
+        views.drop(0)
+    views.add(wall(4.0))
+    assert len(views) == 3
+    assert views.nbytes == n_bytes
+    for view_id, depth_m in ((1, 3.0), (2, 4.0)):
+        assert (views.points_camera(view_id)[:, 2] == depth_m).all()
+    both = np.array([1, 2])
+    projected = views.project_points(views.sampled(1), poses(STAND, STAND))
+    depths_m, _ = views.depth_at(both, projected)
+    np.testing.assert_array_equal(depths_m, np.repeat([[3.0], [4.0]], 30, axis=1))
+    views.truncate(1)
+    assert (len(views), views.nbytes) == (1, 0)

@@ -58,11 +58,16 @@ def test_empty_input_gives_no_overlap(n_others):
 def test_the_best_are_chosen_apart_from_each_other_and_bounded():
     overlaps = np.array([0.5, 0.8, 0.7, 0.2, 0.6, 0.9, 0.95])
     apart = CovisibilityParams(min_overlap=0.35, separation=2)
-    assert choose_covisible(overlaps, apart) == [1, 4, 6]
-    assert choose_covisible(overlaps, apart.model_copy(update={"max_edges": 2})) == [1, 6]
+    ids = np.arange(7)
+    assert choose_covisible(ids, overlaps, apart) == [1, 4, 6]
+    assert choose_covisible(ids, overlaps, apart.model_copy(update={"max_edges": 2})) == [1, 6]
+    # Keyframes between 4 and 9 were culled.
+    assert choose_covisible(np.array([0, 1, 2, 3, 4, 9, 10]), overlaps, apart) == [1, 4, 10]
+    assert choose_covisible(np.array([0, 1, 2, 3, 4, 9, 20]), overlaps, apart) == [1, 4, 9, 20]
     np.testing.assert_array_equal(overlaps[:2], [0.5, 0.8])  # the input is left alone
 
 
 def test_no_edges_when_turned_off_or_nothing_overlaps():
-    assert choose_covisible(np.full(5, 0.9), CovisibilityParams(max_edges=0)) == []
-    assert choose_covisible(np.full(5, 0.1), CovisibilityParams()) == []
+    ids = np.arange(5)
+    assert choose_covisible(ids, np.full(5, 0.9), CovisibilityParams(max_edges=0)) == []
+    assert choose_covisible(ids, np.full(5, 0.1), CovisibilityParams()) == []

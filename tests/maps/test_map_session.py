@@ -42,9 +42,10 @@ def sessions(path):
         return [(s.sequence, s.is_finished, len(store.frames(s.id))) for s in store.sessions()]
 
 
-def test_a_session_makes_a_map_and_another_one_extends_it(tmp_path):
-    path = tmp_path / "home.db"
-    with MapSession.open(path, camera=CAMERA, config=QUICK, sequence="monday") as session:
+@pytest.mark.parametrize("background", [False, True])
+def test_a_session_makes_a_map_and_another_one_extends_it(tmp_path, background):
+    path, options = tmp_path / "home.db", {"config": QUICK, "background": background}
+    with MapSession.open(path, camera=CAMERA, sequence="monday", **options) as session:
         process(session)
     assert session.trajectory is not None
     assert len(session.trajectory) == N

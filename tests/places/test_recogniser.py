@@ -125,6 +125,25 @@ def test_deactivated_views_are_not_found(tour):
     assert agreement.inlier_ratio[0] > 0.99
 
 
+def test_removed_views_are_not_found_and_matches_are_followed_all_the_same(tour):
+    frames, poses = tour
+    recogniser = PlaceRecogniser()
+    T_odom_camera = se3.inverse(poses[0]) @ poses
+    for frame, T in zip(frames, T_odom_camera, strict=False):
+        recogniser.add(frame, T)
+    before = recogniser.nbytes
+    assert recogniser.recognise(12, N_ROUND)[0].view_id == 1
+    recogniser.remove([1, 2])
+    assert recogniser.nbytes < before
+    found = {match.view_id for match in recogniser.recognise(13, N_ROUND)}
+    assert 0 in found
+    assert not found & {1, 2}
+    again = recogniser.add(frames[1], T_odom_camera[1])
+    assert again == len(frames)
+    agreement = recogniser.aligner.agreement(again, np.array([again]), np.eye(4)[None])
+    assert agreement.inlier_ratio[0] > 0.99
+
+
 def test_gravity_is_estimated_by_the_parameters_of_the_recogniser(tour):
     frames, poses = tour
     narrow = {"first_gates_deg": (1.0,), "gates_deg": (1.0,), "lost_margin": 1.0}

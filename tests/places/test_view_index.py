@@ -74,3 +74,14 @@ def test_views_around_one_are_those_that_are_searched(index):
     assert index.neighbours(0, 1, 100) == [0, 2]
     assert index.neighbours(10, 2, 11) == [6, 8, 10]
     assert index.neighbours(11, 1, 100) == [10, 12, 14]
+
+
+def test_removed_views_are_gone_and_the_others_keep_their_ids(index):
+    before = index.nbytes
+    index.remove([4, 5, 10])
+    assert index.nbytes < before
+    assert index.neighbours(8, 2, 100) == [2, 6, 8, 12, 14]
+    found = index.propose(58, 40, 100)
+    assert set(found.view_ids.tolist()) == set(range(0, 40, 2)) - {4, 10}
+    hold(index, [2 * N + 12])
+    assert index.propose(2 * N + 12, 2 * N, 3).view_ids[0] == 12

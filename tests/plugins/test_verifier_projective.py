@@ -84,7 +84,7 @@ def test_blind_frames_are_rejected(golden):
     assert np.isfinite(verified.T_match_query).all()
 
 
-def test_what_was_prepared_last_can_be_forgotten(golden):
+def test_what_was_prepared_can_be_forgotten(golden):
     query, match, behind, T_match_query = golden
     verifier = ProjectiveVerifier()
     assert isinstance(verifier, ForgettingVerifier)
@@ -95,5 +95,8 @@ def test_what_was_prepared_last_can_be_forgotten(golden):
     (asking,) = prepare(verifier, query)
     assert asking == 1
     assert_golden(verify(verifier, asking, kept, T_match_query), T_match_query)
-    with pytest.raises(ValueError, match="only view 1, the last"):
+    (later,) = prepare(verifier, match)
+    verifier.forget(kept)
+    assert_golden(verify(verifier, asking, later, T_match_query), T_match_query)
+    with pytest.raises(ValueError, match="view 0 is not kept"):
         verifier.forget(kept)

@@ -23,7 +23,7 @@ from slam_bof_plugins.odometry_kiss_icp import KissIcpOdometry
 
 FILES = {
     "config.yaml", "loops.csv", "map.db", "map.ply", "metrics.json", "pose_graph.g2o",
-    "report.html", "run.log",
+    "report.html", "run.log", "health.csv",
     *(f"trajectory_{name}_{form}.txt"
       for name in ("odometry", "optimized", "groundtruth") for form in ("tum", "kitti")),
 }  # fmt: skip
@@ -115,7 +115,7 @@ def test_the_map_has_raw_and_smoothed_labels_and_rooms(finished):
 
 def test_same_input_and_seed_same_bytes(finished, sequence, tmp_path):
     again = run(sequence, tmp_path)
-    for name in FILES - {"metrics.json", "report.html", "run.log", "map.db"}:
+    for name in FILES - {"metrics.json", "report.html", "run.log", "health.csv", "map.db"}:
         assert (again.folder / name).read_bytes() == (finished.folder / name).read_bytes(), name
 
 

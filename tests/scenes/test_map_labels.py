@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam_bof.geometry import se3
@@ -38,3 +40,19 @@ def test_keyframes_without_label_stay_without():
 def test_a_map_without_labels_has_no_rooms():
     assert label_map(*walk([None, None])) == ([None, None], [])
     assert label_map([], np.empty((0, 4, 4))) == ([], [])
+
+
+def test_culled_keyframes_are_in_the_room_of_their_anchor():
+    """The second half of the walk stands where the first stood, and was culled."""
+    keyframes, poses = walk(["bath"] * 5 + ["kitchen"] * 5)
+    again = [replace(k, id=k.id + 10, stamp_s=k.stamp_s + 60.0) for k in keyframes]
+    anchors = np.tile(np.arange(10), 2)
+    both = [*keyframes, *again]
+    scenes, rooms = label_map(both, np.concatenate([poses, poses]), anchors=anchors)
+    _, expected = label_map(keyframes, poses)
+    assert len(scenes) == 20
+    assert [room.label for room in rooms] == [room.label for room in expected]
+    for room, alone in zip(rooms, expected, strict=True):
+        ids = np.array(alone.keyframe_ids)
+        assert room.keyframe_ids == (*ids.tolist(), *(ids + 10).tolist())
+        assert room.center_m == alone.center_m

@@ -13,7 +13,7 @@ from old_maps import write_old_map
 from saved_maps import CLASSES, make_candidate, make_keyframe, make_loop, save
 
 from slam_bof.errors import MapError
-from slam_bof.store import MapStore, replay_keyframes
+from slam_bof.store import MapStore, check_map, replay_keyframes
 from slam_bof.store.schema import SCHEMA_VERSION
 
 
@@ -120,12 +120,26 @@ def test_an_older_map_is_upgraded(path: Path, version: int, read_only: bool) -> 
         assert len(store.keyframes()) == 2
 
 
+@pytest.mark.parametrize("read_only", [True, False])
+def test_a_map_of_version_4_is_upgraded_and_whole(filled: MapStore, read_only: bool) -> None:
+    filled.close()
+    db = sqlite3.connect(filled.path)
+    db.executescript("DROP TABLE culled; PRAGMA user_version = 4")
+    db.close()
+    with MapStore.open(filled.path, read_only=read_only) as store:
+        assert len(list(replay_keyframes(store))) == 6
+        assert store.anchors().tolist() == list(range(6))
+        assert len(store.loops()) == 1
+    if not read_only:
+        assert check_map(filled.path) == []
+
+
 def test_another_version_is_named(path: Path) -> None:
     MapStore.create(path).close()
     db = sqlite3.connect(path)
     db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     db.close()
-    with pytest.raises(MapError, match="found map version 5, expected one of 2, 3, 4"):
+    with pytest.raises(MapError, match="found map version 6, expected one of 2, 3, 4, 5"):
         MapStore.open(path)
 
 

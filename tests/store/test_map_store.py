@@ -17,9 +17,11 @@ from saved_maps import (
     save,
 )
 
+from slam_bof.errors import MapError
 from slam_bof.geometry import se3
 from slam_bof.scenes import MapRoom
-from slam_bof.store import MapStore, Session, SessionResult, replay_keyframes
+from slam_bof.store import MapStore, Session, SessionResult, check_map, replay_keyframes
+from slam_bof.store.pruning import drop_keyframes
 from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
 
@@ -285,3 +287,31 @@ def test_a_loop_that_is_left_out_is_rejected_with_the_reason(path: Path) -> None
             ("accepted", ""),
             ("rejected", "contradicts the others"),
         ]
+
+
+def test_an_anchor_that_was_culled_is_named(path: Path) -> None:
+    with MapStore.create(path) as store:
+        for id_ in range(5):
+            save(store, make_keyframe(id_))
+        store.write(replace(make_record(make_keyframe(5)), culled=((2, 0), (3, 2))))
+        with pytest.raises(MapError, match="found keyframe 2, which was culled, as the anchor of"):
+            list(replay_keyframes(store))
+
+
+def test_culled_keyframes_come_back_with_the_keyframe_that_they_were_culled_by(
+    path: Path,
+) -> None:
+    with MapStore.create(path) as store:
+        for id_ in range(5):
+            save(store, make_keyframe(id_))
+        store.write(replace(make_record(make_keyframe(5)), culled=((2, 0), (3, 1))))
+        assert store.anchors().tolist() == [0, 1, 0, 1, 4, 5]
+    with MapStore.open(path) as store:
+        culled = [record.culled for record in replay_keyframes(store)]
+    assert culled == [(), (), (), (), (), ((2, 0), (3, 1))]
+    assert check_map(path) == []
+    with MapStore.open(path, read_only=False) as store:
+        with store.transaction() as db:
+            drop_keyframes(db, {1, 4})  # the anchor of 3 goes, so that it is in use again
+        assert store.anchors().tolist() == [0, 0, 2, 3]
+    assert check_map(path) == []

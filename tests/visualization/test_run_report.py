@@ -1,3 +1,4 @@
+import base64
 import json
 import re
 import subprocess
@@ -5,10 +6,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from slam_bof.geometry import se3
+from slam_bof.scenes import MapRoom
 from slam_bof.types import (
     Array,
     Bag,
@@ -21,7 +25,7 @@ from slam_bof.types import (
     Scene,
     Trajectory,
 )
-from slam_bof.visualization import ReportData, write_report
+from slam_bof.visualization import FrameHealth, Plan, ReportData, write_report
 
 CLASSES = ("kitchen", "office")
 METRICS = {
@@ -133,6 +137,65 @@ def test_the_page_has_every_figure(tmp_path: Path, data: ReportData) -> None:
     }  # fmt: skip
 
 
+@pytest.fixture
+def plan() -> Plan:
+    """Two rooms side by side, 0.5 m each, with a wall along the top; the map's frame has y down."""
+    cells = np.full((4, 10), 254, np.uint8)
+    cells[0], cells[3, 0] = 0, 205
+    rooms = [
+        MapRoom(k, label, 0.9, ids, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+        for k, (label, ids) in enumerate([("kitchen", (0, 1)), ("office", (2,))])
+    ]
+    T_plan_map = se3.pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 0.0])
+    positions_plan = np.array([[-0.3, 0.0, 1.4], [-0.2, 0.0, 1.4], [0.3, 0.0, 1.4]])
+    positions_map = se3.transform(se3.inverse(T_plan_map), positions_plan)
+    return Plan(cells, 0.1, (-0.5, -0.2), T_plan_map, positions_map, rooms)
+
+
+def test_the_plan_shows_rooms_by_colour_and_name(tmp_path: Path, data, plan: Plan) -> None:
+    html = write(tmp_path, replace(data, plan=plan))
+    assert headings(html)[0] == "Place"
+    traces = {trace["name"]: trace for trace in plots(html)["plan"]}
+    assert traces["office"]["text"] == ["keyframe 2, office 1"]
+    assert r"\u003cb\u003eoffice\u003c\u002fb\u003e" in html
+    image = plan_image(without_library(html))
+    kitchen, office = (traces[name]["marker"]["color"] for name in ("kitchen", "office"))
+    assert image.shape == (4, 10, 3)
+    assert image[0].max() < 60, "the wall"
+    assert image[3, 0].tolist() == [238, 238, 238], "unknown"
+    for column, color in ((2, kitchen), (8, office)):
+        tint = 255 - image[2, column].astype(float)
+        full = 255 - np.array(list(bytes.fromhex(color[1:])), float)
+        np.testing.assert_allclose(tint, 0.35 * full, atol=1.0)
+
+
+def plan_image(html: str) -> NDArray[np.uint8]:
+    """Decode the image of the plan, RGB."""
+    text = html.replace(r"\u002f", "/").replace(r"\u003d", "=")
+    (encoded,) = re.findall(r"data:image/png;base64,([A-Za-z0-9+/=]+)", text)
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR)
+    return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+
+
+def test_health_is_drawn_over_time(tmp_path: Path, data: ReportData) -> None:
+    health = [FrameHealth("tracked", 0)] * 20 + [FrameHealth("degenerate", 2)] * 15
+    health += [FrameHealth("lost", 0)] * 5
+    html = write(tmp_path, replace(data, health=health))
+    assert "Of 40 frames: 20 tracked, 15 degenerate, 5 lost." in html
+    of_frames, lost = plots(html)["health"]
+    assert lost["name"] == "lost (5)"
+    assert of_frames["name"] == "of 6, by frame"
+    assert "Tracking" not in headings(write(tmp_path, replace(data, health=health[1:])))
+
+
+def test_command_and_configuration_are_text(tmp_path: Path, data: ReportData) -> None:
+    made = replace(data, command="slam-bof run 'a & b'", configuration="seed: 0\n# <b>\n")
+    html = without_library(write(tmp_path, made))
+    assert headings(html)[-1] == "How it was made"
+    assert "<summary>slam-bof run &#x27;a &amp; b&#x27;</summary>" in html
+    assert "# &lt;b&gt;" in html
+
+
 def test_loops_are_told_from_wrong_ones_and_covisibility(tmp_path: Path, data) -> None:
     top_view = plots(write(tmp_path, data))["top-view"]
     names = {trace.get("name") for trace in top_view}
@@ -141,6 +204,14 @@ def test_loops_are_told_from_wrong_ones_and_covisibility(tmp_path: Path, data) -
     names = {trace.get("name") for trace in untold}
     assert "loops (2)" in names
     assert "ground truth" not in names
+
+
+def test_more_loops_than_can_be_told_apart_are_thinned(tmp_path: Path, data) -> None:
+    loops = [replace(data.loops[0], query_id=k % 9 + 1, match_id=0) for k in range(200)]
+    top_view = plots(write(tmp_path, replace(data, loops=loops, groundtruth=None)))["top-view"]
+    (drawn,) = [t for t in top_view if t.get("name", "").startswith("loops (")]
+    assert drawn["name"] == "loops (67 of 200 drawn)"
+    assert len(drawn["x"]) == 3 * 67
 
 
 def test_candidates_show_the_decision_and_its_reason(tmp_path: Path, data) -> None:

@@ -1,0 +1,338 @@
+"""The node: topics in, the correction of the odometry and the map out."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
+from nav_msgs.msg import OccupancyGrid, Odometry, Path as PathMessage
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
+
+from slam_bof.errors import DatasetError, MapError, SlamBofError
+from slam_bof.types import Step
+from slam_bof_ros import outputs
+from slam_bof_ros.frames import FrameSource, PosedFrame
+from slam_bof_ros.mapper import Mapper, MapperSettings, MapSnapshot
+from slam_bof_ros.transforms import TransformTree
+
+__all__ = ["SlamBofNode", "main"]
+
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+PARAMETERS: dict[str, Any] = {
+    "map_file": "~/.ros/slam_bof/map.db",
+    "mode": "mapping",
+    "config": "indoor",
+    "set": [""],
+    "odom_frame": "odom",
+    "base_frame": "base_link",
+    "map_frame": "map",
+    "use_tf": False,
+    "use_covariance": True,
+    "input": "depth",
+    "compressed": False,
+    "rectified": True,
+    "tf_rate": 20.0,
+    "tf_ahead_s": 0.1,
+    "graph_period_s": 2.0,
+    "map_period_s": 10.0,
+    "max_map_keyframes": 200,
+}
+
+
+class SlamBofNode(Node):
+    """Adds loop closing to the odometry of a robot with a depth camera."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("slam_bof", **options)
+        for name, default in PARAMETERS.items():
+            self.declare_parameter(name, default)
+        self._tree = TransformTree()
+        self._source = FrameSource(
+            self._tree,
+            odom_frame=self._value("odom_frame"),
+            base_frame=self._value("base_frame"),
+            uses_tf=self._value("use_tf"),
+            uses_covariance=self._value("use_covariance"),
+        )
+        self._mapper = Mapper(
+            MapperSettings(
+                Path(self._value("map_file")).expanduser(),
+                self._value("mode"),
+                self._value("config"),
+                # A robot's odometry has z up (REP 103).
+                ("gravity_odom=[0,0,-1]", *filter(None, self._value("set"))),
+            )
+        )
+        self._n_drawn = 0
+        self._publish = {
+            name: self.create_publisher(kind, topic, qos)
+            for name, kind, topic, qos in (
+                ("path", PathMessage, "~/path", 1),
+                ("pose", PoseWithCovarianceStamped, "~/pose", 10),
+                ("map_to_odom", TransformStamped, "~/map_to_odom", 10),
+                ("graph", MarkerArray, "~/graph", LATCHED),
+                ("map", OccupancyGrid, "~/map", LATCHED),
+                ("cloud", PointCloud2, "~/cloud", 1),
+                ("scene", String, "~/scene", 10),
+                ("diagnostics", DiagnosticArray, "/diagnostics", 10),
+            )
+        }
+        self._listen()
+        self._connect_tf()
+        for name, serve in (("save", self._save), ("finish", self._finish), ("reset", self._reset)):
+            self.create_service(Trigger, f"~/{name}", self._answering(serve))
+        self.create_service(SetBool, "~/pause", self._pause)
+        self.create_timer(1.0 / self._value("tf_rate"), self._publish_tf)
+        self.create_timer(1.0, self._publish_diagnostics)
+        drawing = MutuallyExclusiveCallbackGroup()
+        for period, draw in (
+            ("graph_period_s", self._draw_graph),
+            ("map_period_s", self._draw_map),
+        ):
+            if self._value(period) > 0.0:
+                self.create_timer(self._value(period), draw, callback_group=drawing)
+
+    def close(self) -> None:
+        """Finish the map."""
+        self._mapper.finish()
+        self._mapper.closer.close()
+
+    def _value(self, name: str) -> Any:
+        return self.get_parameter(name).value
+
+    def _listen(self) -> None:
+        """Subscribe to depth and its camera, or to clouds, and to odometry."""
+        if self._value("input") == "cloud":
+            self.create_subscription(PointCloud2, "cloud", self._on_cloud, qos_profile_sensor_data)
+        else:
+            kind = CompressedImage if self._value("compressed") else Image
+            suffix = "/compressedDepth" if self._value("compressed") else ""
+            self.create_subscription(
+                kind, f"depth/image_rect_raw{suffix}", self._on_image, qos_profile_sensor_data
+            )
+            self.create_subscription(
+                CameraInfo,
+                "depth/camera_info",
+                self._source.add_camera_info,
+                qos_profile_sensor_data,
+            )
+        if not self._value("use_tf"):
+            self.create_subscription(Odometry, "odom", self._on_odometry, qos_profile_sensor_data)
+
+    def _connect_tf(self) -> None:
+        """Listen to tf and publish it, if its messages are installed, as with every ROS."""
+        self._tf: Callable[[TransformStamped], None] | None = None
+        if importlib.util.find_spec("tf2_msgs") is None:
+            self.get_logger().warning("tf2_msgs is not installed: no tf, see ~/map_to_odom")
+            return
+        from tf2_msgs.msg import TFMessage
+
+        for topic, is_static, qos in (("/tf", False, 100), ("/tf_static", True, LATCHED)):
+            self.create_subscription(
+                TFMessage,
+                topic,
+                lambda message, is_static=is_static: self._tree.add(
+                    message.transforms, is_static=is_static
+                ),
+                qos,
+            )
+        publisher = self.create_publisher(TFMessage, "/tf", 100)
+        self._tf = lambda transform: publisher.publish(TFMessage(transforms=[transform]))
+
+    def _on_image(self, message: Any) -> None:
+        try:
+            self._source.add_image(
+                message,
+                is_compressed=self._value("compressed"),
+                is_rectified=self._value("rectified"),
+            )
+        except DatasetError as error:
+            self._warn(str(error))
+        self._process()
+
+    def _on_cloud(self, message: PointCloud2) -> None:
+        try:
+            self._source.add_cloud(message)
+        except DatasetError as error:
+            self._warn(str(error))
+        self._process()
+
+    def _on_odometry(self, message: Odometry) -> None:
+        self._source.add_odometry(message)
+        self._process()
+
+    def _process(self) -> None:
+        for posed in self._source.take():
+            try:
+                step = self._mapper.process(posed)
+            except SlamBofError as error:
+                self.get_logger().error(str(error))
+                continue
+            if step is not None:
+                self._publish_step(posed)
+
+    def _publish_step(self, posed: PosedFrame) -> None:
+        """Publish where the camera is, and what a new keyframe shows."""
+        mapper, frame = self._mapper, self._value("map_frame")
+        step, T_map_odom, stamp_s = mapper.step, mapper.T_map_odom, posed.frame.stamp_s
+        if step is None or T_map_odom is None:
+            return
+        T_map_camera = T_map_odom @ posed.T_odom_camera
+        if not step.is_lost:
+            self._publish["pose"].publish(outputs.pose_message(stamp_s, frame, T_map_camera, step))
+        if step.keyframe is None:
+            return
+        self._publish["cloud"].publish(outputs.cloud_message(frame, posed.frame, T_map_camera))
+        scene = step.keyframe.smoothed or step.scene
+        if scene is not None:
+            self._publish["scene"].publish(outputs.scene_message(scene))
+
+    def _publish_tf(self) -> None:
+        """Publish the correction of the odometry; tf holds it until ``tf_ahead_s`` from now."""
+        step = self._poll()
+        T_map_odom = self._mapper.T_map_odom
+        if step is None or T_map_odom is None:
+            return
+        stamp_s = self._now_s() + self._value("tf_ahead_s")
+        message = outputs.transform_message(
+            stamp_s, self._value("map_frame"), self._source.odom_frame, T_map_odom
+        )
+        self._publish["map_to_odom"].publish(message)
+        if self._tf is not None:
+            self._tf(message)
+
+    def _poll(self) -> Step | None:
+        try:
+            return self._mapper.poll()
+        except SlamBofError as error:
+            self._warn(str(error))
+            return self._mapper.step
+
+    def _publish_diagnostics(self) -> None:
+        mapper, health = self._mapper, self._mapper.health
+        problem = self._source.problem or (health.errors[-1] if health.errors else "")
+        if health.last == "lost":
+            problem = "odometry is lost: it agrees with nothing seen before"
+        health.errors = []
+        values = {
+            **health.values(),
+            "keyframes waiting": str(mapper.closer.n_waiting),
+            "frames while too many keyframes waited": str(mapper.closer.n_postponed),
+            "images waiting for odometry": str(self._source.n_waiting),
+            "images without odometry": str(self._source.n_dropped),
+            "located": str(mapper.is_located),
+            "odometry lost": str(mapper.closer.n_odometry_lost),
+        }
+        self._publish["diagnostics"].publish(
+            outputs.diagnostics_message(
+                self._now_s(), self.get_fully_qualified_name(), problem, health.last, values
+            )
+        )
+
+    def _draw_graph(self) -> None:
+        """Publish path and graph if there are new keyframes; in a thread of its own."""
+        if self._mapper.is_finished:
+            return
+        snapshot = self._snapshot()
+        if snapshot is None or len(snapshot.keyframes) == self._n_drawn:
+            return
+        self._n_drawn = len(snapshot.keyframes)
+        self._publish_graph(snapshot)
+
+    def _publish_graph(self, snapshot: MapSnapshot) -> None:
+        stamp_s, frame = self._now_s(), self._value("map_frame")
+        self._publish["path"].publish(outputs.path_message(stamp_s, frame, snapshot))
+        self._publish["graph"].publish(outputs.graph_message(stamp_s, frame, snapshot))
+
+    def _draw_map(self) -> None:
+        """Publish the occupancy grid of the saved keyframes; in a thread of its own."""
+        snapshot = None if self._mapper.is_finished else self._snapshot()
+        if snapshot is None:
+            return
+        try:
+            grid = self._mapper.occupancy(snapshot, self._value("max_map_keyframes"))
+        except MapError as error:
+            self.get_logger().debug(str(error))
+            return
+        self._publish["map"].publish(
+            outputs.grid_message(self._now_s(), self._value("map_frame"), grid)
+        )
+
+    def _snapshot(self) -> MapSnapshot | None:
+        try:
+            snapshot = self._mapper.snapshot()
+        except SlamBofError as error:
+            self._warn(str(error))
+            return None
+        return snapshot if len(snapshot.keyframes) else None
+
+    def _save(self) -> str:
+        path = self._mapper.settings.map_file.with_suffix(".saved.db")
+        return f"{self._mapper.save(path)} keyframes in {path}"
+
+    def _finish(self) -> str:
+        n_frames = self._mapper.finish()
+        return f"{n_frames} frames in {self._mapper.settings.map_file}"
+
+    def _reset(self) -> str:
+        self._mapper.reset()
+        return "a new session has begun"
+
+    def _pause(self, request: Any, response: Any) -> Any:
+        self._mapper.is_paused = request.data
+        response.success, response.message = True, "paused" if request.data else "going on"
+        return response
+
+    def _answering(self, serve: Callable[[], str]) -> Callable[[Any, Any], Any]:
+        """Return a service of a function that returns what it did, or raises why it did not."""
+
+        def answer(_: Any, response: Any) -> Any:
+            try:
+                response.success, response.message = True, serve()
+            except (SlamBofError, OSError) as error:
+                response.success, response.message = False, str(error)
+            return response
+
+        return answer
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=5.0)
+
+    def _now_s(self) -> float:
+        return float(self.get_clock().now().nanoseconds * 1e-9)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the node until it is interrupted; then finish the map."""
+    rclpy.init(args=arguments)
+    try:
+        node = SlamBofNode()
+    except SlamBofError as error:
+        sys.exit(f"slam_bof_node: {error}")
+    executor = MultiThreadedExecutor(num_threads=2)
+    executor.add_node(node)
+    try:
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        node.close()
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

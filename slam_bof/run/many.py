@@ -1,0 +1,110 @@
+"""Runs over several sequences, several at a time."""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import joblib
+
+from slam_bof.errors import SlamBofError
+from slam_bof.ports import Dataset
+from slam_bof.run.run import RunResult, run_sequence
+from slam_bof.slam import Config
+
+__all__ = ["SequenceRun", "run_sequences"]
+
+logger = logging.getLogger(__name__)
+
+Open = Callable[[Path], tuple[Dataset, list[str]]]
+"""Opens a sequence; returns it, and first lines of its ``run.log``."""
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceRun:
+    """What came of one sequence: a result, or else the error that ended its run."""
+
+    sequence: Path
+    result: RunResult | None
+    error: str = ""
+
+
+def run_sequences(
+    sequences: Sequence[Path],
+    open_: Open,
+    config: Config,
+    out: Path,
+    *,
+    n_jobs: int = 1,
+    frames: str | None = None,
+    **options: Any,
+) -> Iterator[SequenceRun]:
+    """Run the mini-SLAM over sequences, each with a folder of its own under ``out``.
+
+    A sequence that fails does not stop the others. The files of a run do not depend on ``n_jobs``.
+    With ``joblib.parallel_config(backend="dask")`` around the loop, the runs go to a Dask cluster.
+
+    Parameters
+    ----------
+    sequences, open_
+        The sequences, and the function that opens one.
+    config, out
+        All parameters of all runs, and the folder for theirs.
+    n_jobs
+        Number of runs at a time, each in a process of its own.
+    frames
+        The frames of each sequence that ``open_`` selects, to be kept in the map for resuming.
+    options
+        ``max_frames``, ``with_color`` and ``z_up`` of ``run_sequence``.
+
+    Yields
+    ------
+    SequenceRun
+        In the order of the sequences.
+    """
+    jobs = [
+        joblib.delayed(_run)(sequence, open_, config, folder, frames, options)
+        for sequence, folder in zip(sequences, _folders(sequences, out), strict=True)
+    ]
+    yield from joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
+
+
+def _run(
+    sequence: Path,
+    open_: Open,
+    config: Config,
+    out: Path,
+    frames: str | None,
+    options: dict[str, Any],
+) -> SequenceRun:
+    source = json.dumps({"path": str(sequence.resolve()), "frames": frames})
+    try:
+        dataset, remarks = open_(sequence)
+        result = run_sequence(dataset, config, out, source=source, remarks=remarks, **options)
+    except SlamBofError as error:
+        return SequenceRun(sequence, None, str(error))
+    except Exception as error:
+        logger.exception("%s", sequence)
+        return SequenceRun(sequence, None, f"{sequence}: {type(error).__name__}: {error}")
+    return SequenceRun(sequence, result)
+
+
+def _folders(sequences: Sequence[Path], out: Path) -> list[Path]:
+    """Return a folder for each sequence, named by the last two parts of its path.
+
+    >>> paths = [Path("a/office/seq-01"), Path("a/office/seq-02"), Path("b/office/seq-01")]
+    >>> [folder.as_posix() for folder in _folders(paths, Path("runs"))]
+    ['runs/office-seq-01', 'runs/office-seq-02', 'runs/office-seq-01-2']
+    """
+    seen: Counter[str] = Counter()
+    folders = []
+    for sequence in sequences:
+        name = "-".join(sequence.resolve().parts[-2:]).replace("/", "")
+        seen[name] += 1
+        folders.append(out / (name if seen[name] == 1 else f"{name}-{seen[name]}"))
+    return folders

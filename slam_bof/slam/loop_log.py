@@ -1,0 +1,82 @@
+"""All edges that ever entered the pose graph, in little memory."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+
+from slam_bof.core import GrowingArray
+from slam_bof.types import Array, CandidateSource, EdgeKind, Loop
+
+__all__ = ["LoopLog"]
+
+ROW = np.dtype(
+    [
+        ("query_id", np.int32),
+        ("match_id", np.int32),
+        ("T_match_query", np.float64, (3, 4)),
+        ("kind", np.int8),
+        ("source", np.int8),
+    ]
+)
+KINDS, SOURCES = list(EdgeKind), list(CandidateSource)
+
+
+class LoopLog:
+    """Stores edges in the order in which they entered the graph, and finds those of a keyframe.
+
+    The information of edges of culled keyframes is dropped: the graph no longer has them. It is
+    zero when they are read. ``map.db`` has all of it.
+    """
+
+    def __init__(self) -> None:
+        self._rows = GrowingArray((), ROW)
+        self._information: dict[int, Array] = {}
+        self._of_keyframe: dict[int, list[int]] = {}
+
+    def __len__(self) -> int:
+        """Return the number of edges."""
+        return len(self._rows)
+
+    def __getitem__(self, number: int) -> Loop:
+        """Return the edge that entered the graph as number 0, 1, 2 ..."""
+        row = self._rows.rows[number]
+        T_match_query = np.eye(4)
+        T_match_query[:3] = row["T_match_query"]
+        return Loop(
+            query_id=int(row["query_id"]),
+            match_id=int(row["match_id"]),
+            T_match_query=T_match_query,
+            information=self._information.get(number, np.zeros((6, 6))),
+            kind=KINDS[row["kind"]],
+            source=SOURCES[row["source"]],
+        )
+
+    def __iter__(self) -> Iterator[Loop]:
+        """Iterate over all edges."""
+        return (self[number] for number in range(len(self)))
+
+    def append(self, loop: Loop) -> None:
+        """Add an edge."""
+        number = len(self)
+        kind, source = KINDS.index(EdgeKind(loop.kind)), SOURCES.index(CandidateSource(loop.source))
+        row = (loop.query_id, loop.match_id, loop.T_match_query[:3], kind, source)
+        self._rows.append(np.array(row, ROW))
+        self._information[number] = loop.information
+        for keyframe_id in (loop.query_id, loop.match_id):
+            self._of_keyframe.setdefault(keyframe_id, []).append(number)
+
+    def of(self, keyframe_id: int) -> list[Loop]:
+        """Return the edges between a keyframe and others that are all in use."""
+        return [self[number] for number in self._of_keyframe.get(keyframe_id, [])]
+
+    def cull(self, keyframe_ids: Collection[int]) -> None:
+        """Drop what the edges of culled keyframes no longer need."""
+        gone = {k for keyframe_id in keyframe_ids for k in self._of_keyframe.pop(keyframe_id, [])}
+        for number in gone:
+            row = self._rows.rows[number]
+            del self._information[number]
+            for keyframe_id in (int(row["query_id"]), int(row["match_id"])):
+                if keyframe_id in self._of_keyframe:
+                    self._of_keyframe[keyframe_id].remove(number)

@@ -1,0 +1,150 @@
+"""From a frame that tracking has placed to a keyframe of the map with its loops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from slam_bof.core import Checkpoint, StageClock
+from slam_bof.geometry import subsample
+from slam_bof.loops import Verified
+from slam_bof.slam.config import Config
+from slam_bof.slam.keyframe_map import KeyframeMap
+from slam_bof.tracking import Track
+from slam_bof.types import DepthFrame, Keyframe, Pose, SubsampledDepth
+
+__all__ = ["DirectMapping", "KeyframeJob", "MapUpdate", "Mapping", "map_keyframe"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KeyframeJob:
+    """A frame that becomes a keyframe, and where odometry and tracking have it.
+
+    ``state`` is the state of tracking, as JSON values. ``is_saved`` is whether the keyframe has a
+    journal, which needs its depth and the state of the map.
+    """
+
+    frame_index: int
+    frame: DepthFrame
+    T_odom_raw: Pose
+    track: Track
+    state: dict[str, Any]
+    is_saved: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapUpdate:
+    """A keyframe that is in the map, and those that the map let go of with it.
+
+    ``T_map_track`` is the correction of its track by the map. ``depth`` and ``state``, of tracking
+    and of the map, are for the journal.
+    """
+
+    keyframe: Keyframe
+    verified: Verified
+    culled: tuple[tuple[int, int], ...]
+    T_map_track: Pose
+    depth: SubsampledDepth | None
+    state: dict[str, Any]
+
+
+def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
+    """Describe and label a keyframe, find and verify its loops, and optimise the pose graph."""
+    keyframe = map_.describe(
+        job.frame_index,
+        job.frame,
+        job.track.T_odom_camera,
+        segment=job.track.segment,
+        step_covariance=job.track.step_covariance,
+        T_odom_raw=job.T_odom_raw,
+    )
+    verified = map_.add(keyframe, job.frame)
+    culled = map_.cull()
+    return MapUpdate(
+        keyframe,
+        verified,
+        culled,
+        map_.T_map_track,
+        subsample(job.frame) if job.is_saved else None,
+        {**job.state, "detector": map_.state()} if job.is_saved else {},
+    )
+
+
+class Mapping(Protocol):
+    """Takes frames that become keyframes, and returns what came of them, now or later."""
+
+    @property
+    def map(self) -> KeyframeMap:
+        """The map with all keyframes so far."""
+
+    @property
+    def n_waiting(self) -> int:
+        """Number of keyframes that are not in the map yet."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether no frame can become a keyframe now, because too many wait."""
+
+    def submit(self, job: KeyframeJob) -> MapUpdate | None:
+        """Take a frame; return what came of it, or None if that comes later."""
+
+    def send(self) -> None:
+        """Let the frames go that were taken, once the call that they came with has succeeded."""
+
+    def finished(self) -> list[MapUpdate]:
+        """Return the keyframes that came later, oldest first, until ``forget``.
+
+        Raises
+        ------
+        Exception
+            If a keyframe could not be processed. It is not in the map.
+        """
+
+    def forget(self, n: int) -> None:
+        """Forget the first ``n`` of ``finished``."""
+
+    def drain(self) -> None:
+        """Wait until no keyframe waits."""
+
+    def close(self) -> Any:
+        """End what runs beside the caller."""
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the present state; see ``core.Checkpoint``."""
+
+
+class DirectMapping:
+    """Processes each keyframe at once, in the thread of the caller."""
+
+    n_waiting = 0
+    is_full = False
+
+    def __init__(self, config: Config, clock: StageClock) -> None:
+        self.map = KeyframeMap(config, clock)
+
+    def submit(self, job: KeyframeJob) -> MapUpdate:
+        """Process a keyframe."""
+        return map_keyframe(self.map, job)
+
+    def send(self) -> None:
+        """Do nothing: ``submit`` does it all."""
+
+    def finished(self) -> list[MapUpdate]:
+        """Return nothing."""
+        return []
+
+    def forget(self, n: int) -> None:
+        """Do nothing."""
+
+    def drain(self) -> None:
+        """Do nothing: no keyframe waits."""
+
+    def close(self) -> None:
+        """Do nothing: nothing runs beside the caller."""
+
+    def checkpoint(self) -> Callable[[], None]:
+        """Return a function that restores the map."""
+        before = Checkpoint()
+        before.save(self.map)
+        return before.restore

@@ -1,0 +1,108 @@
+"""How precise the odometry is beside alignment, learnt from the edges of the pose graph.
+
+Odometry may be far more precise than the alignment of two noisy views, as that of a phone is, or
+far less, as scan matching may be. What tells are three keyframes i, j and k with an edge between
+each two. Let A, B and C be the differences between odometry and the edges i-j, j-k and i-k.
+
+* Odometry cancels out in the closure A + B - C, which therefore shows the noise of the edges alone.
+* If the noise of odometry is a random walk, that of i-j is shared by A and C, and that of j-k by B
+  and C; the noise of edges is not shared, and that of a view has opposite signs in A and B. So
+  A C + B C + 2 A B is the variance of odometry from i to k, whatever the noise of edges and views.
+
+Noise by which each pose of odometry is off by itself adds to the differences from one keyframe to
+the next, beyond the noise of their edges.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from slam_bof.geometry import se3
+from slam_bof.types import Array, Pose
+
+__all__ = ["OdometryNoise"]
+
+MIN_TRIPLES, MIN_STEPS = 20, 10
+"""With fewer of either, nothing is known yet."""
+TINY = 1e-18
+"""A variance of closures, in rad^2 and m^2, that is rounding."""
+
+
+class OdometryNoise:
+    """Takes the keyframes of an odometry, and the edges between them.
+
+    ``T_odom_camera`` has the pose (4, 4) of each keyframe by its id.
+    """
+
+    def __init__(self) -> None:
+        self.T_odom_camera: dict[int, Pose] = {}
+        self._neighbours: dict[int, dict[int, Array]] = {}
+        self._n_triples = self._n_steps = self._n_passed = 0
+        # Sums of squares over the three axes, of rotation and of translation, each (2,):
+        self._walk = np.zeros(2)
+        self._closure = np.zeros(2)
+        self._off_step = np.zeros(2)
+
+    def add_keyframe(self, keyframe_id: int, T_odom_camera: Pose) -> None:
+        """Add a keyframe by its pose (4, 4) from odometry."""
+        self.T_odom_camera[keyframe_id] = T_odom_camera
+        self._neighbours[keyframe_id] = {}
+
+    def add_edge(self, match_id: int, query_id: int, T_match_query: Pose) -> None:
+        """Add an edge that holds all directions. One of an unknown keyframe says nothing."""
+        if not {match_id, query_id} <= self.T_odom_camera.keys():
+            return
+        if match_id > query_id:
+            match_id, query_id, T_match_query = query_id, match_id, se3.inverse(T_match_query)
+        by_odometry = self._step(match_id, query_id)
+        self._neighbours[match_id][query_id] = self._neighbours[query_id][match_id] = se3.log(
+            se3.inverse(T_match_query) @ by_odometry
+        )
+        for other in self._neighbours[match_id].keys() & self._neighbours[query_id].keys():
+            self._add_triple(*sorted((match_id, query_id, other)))
+        if query_id == match_id + 1:
+            self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
+            self._n_steps += 1
+
+    def forget(self, keyframe_id: int) -> None:
+        """Forget a keyframe that gets no further edges; what was learnt from it stays."""
+        self.T_odom_camera.pop(keyframe_id, None)
+        for other in self._neighbours.pop(keyframe_id, {}):
+            del self._neighbours[other][keyframe_id]
+
+    def relative_sigmas(self) -> Array | None:
+        """Return the standard deviation of a step of odometry, as a multiple of that of an edge.
+
+        Returns
+        -------
+        (2,), of rotation and of translation; or None as long as too few edges are known.
+        """
+        if self._n_triples < MIN_TRIPLES or self._n_steps < MIN_STEPS:
+            return None
+        walk = np.maximum(self._walk / self._n_passed, 0.0)
+        closure = self._closure / (3 * self._n_triples)
+        step = np.maximum(self._off_step / self._n_steps - closure, 0.0)
+        return np.asarray(np.sqrt((walk + step) / np.maximum(closure, TINY)))
+
+    def _add_triple(self, i: int, j: int, k: int) -> None:
+        """Learn from three keyframes, in the order of time, with an edge between each two."""
+        T_k_j = self._step(k, j)
+        a = se3.log(T_k_j @ se3.exp(self._neighbours[i][j]) @ se3.inverse(T_k_j))
+        b, c = self._neighbours[j][k], self._neighbours[i][k]
+        self._walk = self._walk + _products(a + b, c) + 2.0 * _products(a, b)
+        self._closure = self._closure + _squares(a + b - c)
+        self._n_passed += k - i
+        self._n_triples += 1
+
+    def _step(self, a: int, b: int) -> Pose:
+        """Return the pose (4, 4) of keyframe b in the camera of keyframe a."""
+        return se3.inverse(self.T_odom_camera[a]) @ self.T_odom_camera[b]
+
+
+def _products(a: Array, b: Array) -> Array:
+    """Return the dot products of two tangents (6,), of their rotations and translations: (2,)."""
+    return np.asarray((a * b).reshape(2, 3).sum(axis=1))
+
+
+def _squares(tangent: Array) -> Array:
+    return _products(tangent, tangent)

@@ -1,0 +1,164 @@
+"""How precise odometry is beside edges between keyframes, of motion that is known."""
+
+import numpy as np
+import pytest
+
+from slam_bof.core import registry
+from slam_bof.geometry import se3
+from slam_bof.slam.frame_history import FrameHistory
+from slam_bof.slam.odometry_noise import OdometryNoise
+from slam_bof.slam.pose_graph import MapGraph
+from slam_bof.types import Bag, CandidateSource, EdgeKind, FramePose, Keyframe, Loop
+
+N = 60
+REACH = 4
+"""Each keyframe has an edge to as many before it."""
+EMPTY = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+
+
+def noisy(rng, T, rad, m):
+    return T @ se3.exp(np.repeat([rad, m], 3) * rng.standard_normal(6))
+
+
+def motion(rng):
+    """Return true poses (N, 4, 4) of a camera that wanders about."""
+    step = se3.exp(np.array([0.0, 0.1, 0.0, 0.05, 0.0, 0.2]))
+    truth = [np.eye(4)]
+    for _ in range(N - 1):
+        truth.append(noisy(rng, truth[-1] @ step, 0.05, 0.05))
+    return np.array(truth)
+
+
+def odometry_of(rng, truth, walk=(0.0, 0.0), pose=(0.0, 0.0)):
+    """Return odometry whose steps, and each of whose poses, are off by noise in rad and m."""
+    odometry = [truth[0]]
+    for step in se3.inverse(truth[:-1]) @ truth[1:]:
+        odometry.append(odometry[-1] @ noisy(rng, step, *walk))
+    return np.array([noisy(rng, T, *pose) for T in odometry])
+
+
+def edges_of(rng, truth, sigma=(0.005, 0.01), view=(0.0, 0.0)):
+    """Return edges (match, query, T_match_query): each is off, and so is what each view shows."""
+    seen = np.array([noisy(rng, T, *view) for T in truth])
+    return [
+        (i, k, noisy(rng, se3.inverse(seen[i]) @ seen[k], *sigma))
+        for k in range(N)
+        for i in range(max(0, k - REACH), k)
+    ]
+
+
+def relative_sigmas(odometry, edges):
+    noise = OdometryNoise()
+    for k, T in enumerate(odometry):
+        noise.add_keyframe(k, T)
+    for edge in edges:
+        noise.add_edge(*edge)
+    return noise.relative_sigmas()
+
+
+@pytest.mark.parametrize("view", [(0.0, 0.0), (0.005, 0.01)])
+def test_exact_odometry_is_far_more_precise_than_noisy_edges(view):
+    rng = np.random.default_rng(0)
+    truth = motion(rng)
+    found = relative_sigmas(odometry_of(rng, truth), edges_of(rng, truth, view=view))
+    # Noise of views cannot be told from that of poses of odometry, but it does not grow.
+    assert (found < (0.4 if view == (0.0, 0.0) else 2.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("walk", "pose"),
+    [((0.02, 0.04), (0.0, 0.0)), ((0.0, 0.0), (0.02, 0.04)), ((0.01, 0.02), (0.01, 0.03))],
+)
+def test_noisy_odometry_is_less_precise_than_edges(walk, pose):
+    rng = np.random.default_rng(1)
+    truth = motion(rng)
+    found = relative_sigmas(odometry_of(rng, truth, walk, pose), edges_of(rng, truth))
+    assert (found > 2.5).all()
+
+
+def test_a_random_walk_is_measured():
+    rng = np.random.default_rng(2)
+    truth = motion(rng)
+    edges = edges_of(rng, truth, sigma=(0.005, 0.01))
+    found = relative_sigmas(odometry_of(rng, truth, walk=(0.01, 0.02)), edges)
+    assert found == pytest.approx([2.0, 2.0], rel=0.5)
+
+
+def test_the_order_of_an_edge_does_not_matter():
+    rng = np.random.default_rng(3)
+    truth = motion(rng)
+    odometry, edges = odometry_of(rng, truth, walk=(0.01, 0.02)), edges_of(rng, truth)
+    turned = [(k, i, se3.inverse(T)) for i, k, T in edges]
+    assert relative_sigmas(odometry, turned) == pytest.approx(relative_sigmas(odometry, edges))
+
+
+def test_of_few_edges_nothing_is_known():
+    rng = np.random.default_rng(4)
+    truth = motion(rng)
+    assert relative_sigmas(truth, edges_of(rng, truth)[:12]) is None
+
+
+def optimized(truth, odometry, edges):
+    """Return the map (N, 4, 4) where tracking is as wrong as the edges from one to the next."""
+    graph = MapGraph(registry.build("backends", "gtsam"))
+    steps = {k: T for i, k, T in edges if i == k - 1}
+    T_track = truth[0]
+    for k, T_odom_raw in enumerate(odometry):
+        T_track = T_track @ steps.get(k, np.eye(4))
+        graph.add_keyframe(Keyframe(k, k, float(k), T_track, EMPTY, None, T_odom_raw=T_odom_raw))
+        graph.add_loops(
+            Loop(k, i, T, 1000.0 * np.eye(6), EdgeKind.COVISIBILITY, CandidateSource.PROXIMITY)
+            for i, query, T in edges
+            if query == k
+        )
+    graph.optimize()
+    return graph.poses()
+
+
+def worst_m(poses, truth):
+    return np.linalg.norm((poses - truth)[:, :3, 3], axis=1).max()
+
+
+def test_exact_odometry_is_hardly_touched_and_a_drifting_one_is_corrected():
+    rng = np.random.default_rng(5)
+    truth = motion(rng)
+    edges = edges_of(rng, truth)
+    drifting = odometry_of(rng, truth, walk=(0.03, 0.05))
+    of_drifting, of_exact = (optimized(truth, T, edges) for T in (drifting, truth))
+    assert worst_m(of_exact, truth) < 0.005
+    assert worst_m(of_exact, truth) < 0.1 * worst_m(of_drifting, truth)
+    assert worst_m(of_drifting, truth) < 0.3 * worst_m(drifting, truth)
+
+
+def test_frames_move_as_odometry_or_tracking_has_them_whichever_is_nearer_to_the_map():
+    raw = np.tile(np.eye(4), (5, 1, 1))
+    raw[:, 2, 3] = np.arange(5) * 0.1
+    tracked = raw.copy()
+    tracked[1::2, 0, 3] = 0.02
+    history = FrameHistory(
+        FramePose(float(k), *poses, 0) for k, poses in enumerate(zip(raw, tracked, strict=True))
+    )
+    at = [0, 3, 4]
+    keyframes = [Keyframe(k, i, float(i), tracked[i], EMPTY, None) for k, i in enumerate(at)]
+    for expected in (raw, tracked):
+        poses = history.trajectory(keyframes, expected[at]).poses
+        assert poses == pytest.approx(expected, abs=1e-9)
+
+
+def test_what_was_learnt_of_forgotten_keyframes_stays():
+    rng = np.random.default_rng(2)
+    truth = motion(rng)
+    odometry, edges = odometry_of(rng, truth, walk=(0.004, 0.008)), edges_of(rng, truth)
+    noises = OdometryNoise(), OdometryNoise()
+    for k, T in enumerate(odometry):
+        for noise in noises:
+            noise.add_keyframe(k, T)
+            for i, query, T_match_query in edges:
+                if query == k:
+                    noise.add_edge(i, query, T_match_query)
+        if k > REACH:
+            noises[1].forget(k - REACH)
+    assert sorted(noises[1].T_odom_camera) == [0, *range(N - REACH, N)]
+    np.testing.assert_array_equal(noises[0].relative_sigmas(), noises[1].relative_sigmas())
+    noises[1].add_edge(3, N - 1, np.eye(4))  # of a forgotten keyframe: says nothing
+    np.testing.assert_array_equal(noises[0].relative_sigmas(), noises[1].relative_sigmas())
