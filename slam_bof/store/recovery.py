@@ -221,7 +221,8 @@ def _fill_missing_frames(db: sqlite3.Connection, path: Path) -> None:
         indices = np.array([row["frame_index"] for row in rows])
         if indices[-1] > MAX_GAPS * (len(rows) + 1000):
             raise MapError(
-                f"{path}: found {len(rows)} frames up to number {indices[-1]}, expected most of them"
+                f"{path}: found {len(rows)} frames up to number {indices[-1]}, "
+                "expected most of them"
             )
         stamps_s = np.array([row["stamp_s"] for row in rows])
         step_s = float(np.median(np.diff(stamps_s) / np.diff(indices))) if len(rows) > 1 else 1.0
