@@ -178,6 +178,8 @@ def forge_map(place: Path, case: Path, rng: random.Random) -> None:
         for _ in range(rng.choice((1, 1, 1, 2))):
             table = rng.choice((*KEY_COLUMNS, "parameters", "keyframes", "sessions"))
             rows = db.execute(f"SELECT rowid AS place, * FROM {table}").fetchall()
+            if not rows:
+                continue
             row = rng.choice(rows)
             name = rng.choice(row.keys()[1:-1])
             old = row[name]

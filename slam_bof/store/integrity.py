@@ -12,7 +12,7 @@ from slam_bof.store.map_store import MapStore
 from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import decode_view
 from slam_bof.store.schema import KEY_COLUMNS
-from slam_bof.store.sqlite import as_map_errors
+from slam_bof.store.sqlite import as_map_errors, possible_rowids
 
 __all__ = ["Damage", "check_map", "require_intact"]
 
@@ -30,8 +30,6 @@ MAX_MESSAGES = 20
 
 
 DAMAGE_CODES = (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_TOOBIG)
-MAX_ROWS = 10_000_000
-"""Limit on the rows that are tried one by one where a page is broken."""
 
 
 class Damage(NamedTuple):
@@ -128,7 +126,7 @@ def _check_rows(db: sqlite3.Connection, table: str) -> Iterator[Damage]:
 
 def _check_rows_one_by_one(db: sqlite3.Connection, table: str) -> Iterator[Damage]:
     """Yield the damaged rows of a table with a broken page: each possible row is read alone."""
-    for rowid in range(min(_last_rowid(db, table) + 1, MAX_ROWS)):
+    for rowid in possible_rowids(db, table):
         try:
             row = db.execute(f"SELECT * FROM {table} WHERE rowid = ?", (rowid,)).fetchone()
         except sqlite3.DatabaseError as error:
@@ -136,14 +134,6 @@ def _check_rows_one_by_one(db: sqlite3.Connection, table: str) -> Iterator[Damag
             continue
         if row is not None and (fault := find_fault(table, row)):
             yield Damage(table, row[KEY_COLUMNS[table]], fault)
-
-
-def _last_rowid(db: sqlite3.Connection, table: str) -> int:
-    try:
-        row = db.execute(f"SELECT max(rowid) AS last FROM {table}").fetchone()
-    except sqlite3.DatabaseError:
-        return -1  # SQLite's own check has reported the damage
-    return int(row["last"] or 0)
 
 
 def _raise_unless_damage(error: sqlite3.DatabaseError | UnicodeDecodeError) -> None:

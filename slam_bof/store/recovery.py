@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +23,13 @@ from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import INSERT_FRAME, decode_frame, encode_frame
 from slam_bof.store.schema import KEY_COLUMNS, SMOOTHED_COLUMNS
 from slam_bof.store.schema_repair import repair_schema
-from slam_bof.store.sqlite import as_map_errors, columns, update_checksums
+from slam_bof.store.sqlite import as_map_errors, columns, possible_rowids, update_checksums
 from slam_bof.types import LOST
 
 __all__ = ["RecoveryResult", "recover_map"]
 
+MAX_GAPS = 10
+"""Most frames that are filled in, for each that is whole."""
 UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)
 """What SQLite raises for damage; texts of its errors may be damaged, too."""
 UNKNOWN_SESSION = ("", "", "", 0, "", None)
@@ -76,7 +79,7 @@ def recover_map(path: Path | str, out: Path | str) -> RecoveryResult:
                 intact = {row["id"] for row in db.execute(INTACT_KEYFRAMES)}
                 _clear_dangling_references(db)
                 drop_keyframes(db, ids - intact)
-                _fill_missing_frames(db)
+                _fill_missing_frames(db, path)
             if not intact:
                 raise MapError(f"{path}: found no intact keyframe, expected at least one")
             found = check_map(out)
@@ -141,17 +144,12 @@ def _copy_rows(source: sqlite3.Connection, target: sqlite3.Connection, table: st
             target.execute(insert, tuple(row))
 
 
-def _candidate_rowids(db: sqlite3.Connection, table: str) -> list[int]:
+def _candidate_rowids(db: sqlite3.Connection, table: str) -> Sequence[int]:
     """Return the row numbers to try."""
     try:
         return [rowid for (rowid,) in db.execute(f"SELECT rowid FROM {table}").fetchall()]
     except UNREADABLE:
-        pass
-    try:
-        ((last,),) = db.execute(f"SELECT max(rowid) FROM {table}").fetchall()
-    except UNREADABLE:
-        return []
-    return list(range(int(last or 0) + 1))
+        return possible_rowids(db, table)
 
 
 def _add_sessions(source: sqlite3.Connection, target: sqlite3.Connection) -> None:
@@ -212,7 +210,7 @@ def _clear_dangling_references(db: sqlite3.Connection) -> None:
         )
 
 
-def _fill_missing_frames(db: sqlite3.Connection) -> None:
+def _fill_missing_frames(db: sqlite3.Connection, path: Path) -> None:
     """Insert ``LOST`` frames for missing ones, so that frame indices stay without gaps."""
     for (session,) in db.execute("SELECT id FROM sessions").fetchall():
         rows = db.execute(
@@ -221,6 +219,11 @@ def _fill_missing_frames(db: sqlite3.Connection) -> None:
         if not rows:
             continue
         indices = np.array([row["frame_index"] for row in rows])
+        if indices[-1] > MAX_GAPS * (len(rows) + 1000):
+            raise MapError(
+                f"{path}: found {len(rows)} frames up to number {indices[-1]}, "
+                "expected most of them"
+            )
         stamps_s = np.array([row["stamp_s"] for row in rows])
         step_s = float(np.median(np.diff(stamps_s) / np.diff(indices))) if len(rows) > 1 else 1.0
         for index in sorted(set(range(indices[-1])) - set(indices.tolist())):

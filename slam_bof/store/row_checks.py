@@ -28,6 +28,7 @@ CHECKSUM_DIFFERS = "differs from what was written (checksum)"
 POSE = struct.Struct("<12d")
 POSE_BYTES, MATRIX_BYTES = POSE.size, 36 * 8
 """Sizes of a pose (3, 4), and of an information or covariance matrix (6, 6)."""
+MAX_SESSIONS = 100_000
 MAX_NUMBER = 1e18
 """Largest number in a row; times may be in any unit."""
 MAX_TEXT = 1_000_000
@@ -99,6 +100,7 @@ def _columns(table: str) -> list[tuple[str, str, bool]]:
 
 def _check_keyframe(row: Row) -> None:
     _expect(min(row["id"], row["session"], row["frame_index"], row["segment"]) >= 0, "id")
+    _expect(row["session"] < MAX_SESSIONS, "session")
     _check_pose(row, "odom_")
     if _is_given(row, MAP_COLUMNS):
         _check_pose(row, "map_")
@@ -155,7 +157,7 @@ def _check_region(row: Row) -> None:
 
 
 def _check_session(row: Row) -> None:
-    _expect(row["id"] >= 0 and row["seed"] >= 0, "seed")
+    _expect(0 <= row["id"] < MAX_SESSIONS and row["seed"] >= 0, "id")
     _expect(row["max_frames"] is None or row["max_frames"] > 0, "max_frames")
     if row["state"] is not None:
         _expect(isinstance(_json(row["state"], "state"), dict), "state")

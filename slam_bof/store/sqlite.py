@@ -18,6 +18,7 @@ __all__ = [
     "columns",
     "connect",
     "is_intact",
+    "possible_rowids",
     "prepare",
     "row_crc",
     "update_checksums",
@@ -26,6 +27,8 @@ __all__ = [
 BUSY_TIMEOUT_S = 5.0
 LENGTH, NUMBER = struct.Struct("<q"), struct.Struct("<qd")
 NULL = LENGTH.pack(1) + b"\0"
+MIN_ROW_BYTES = 32
+"""Least size of a row of any table."""
 MAX_VALUE_BYTES = 1 << 24
 """Largest text or blob that is read; a depth image takes some 13 kB."""
 
@@ -112,6 +115,20 @@ def columns(db: sqlite3.Connection, table: str) -> list[str]:
     """Return the names of a table's columns, except ``crc``."""
     rows = db.execute(f"PRAGMA table_info({table})").fetchall()
     return [row["name"] for row in rows if row["name"] != "crc"]
+
+
+def possible_rowids(db: sqlite3.Connection, table: str) -> range:
+    """Return the row numbers to try where a table has broken pages.
+
+    The largest may be damaged itself: there are no more rows than fit into the file.
+    """
+    try:
+        ((last,),) = db.execute(f"SELECT max(rowid) FROM {table}").fetchall()
+        ((n_pages,),) = db.execute("PRAGMA page_count").fetchall()
+        ((page_bytes,),) = db.execute("PRAGMA page_size").fetchall()
+    except (sqlite3.DatabaseError, UnicodeDecodeError):
+        return range(0)
+    return range(min(int(last or 0) + 1, n_pages * page_bytes // MIN_ROW_BYTES))
 
 
 @contextmanager

@@ -16,9 +16,9 @@ FAULTS = ("implausible", "traceback", "crash", "hang", "memory")
 
 
 def test_no_reader_fails_on_broken_files() -> None:
-    """All readers but the slowest, which ``scripts/fuzz`` has too."""
-    readers = ["map", "model-inner", "config", "archive", "server", "sequence", "image"]
-    command = [sys.executable, str(FUZZ), "--json", "--cases", "300", "--seed", "7"]
+    """The readers that are quick to prepare; ``scripts/fuzz`` has more."""
+    readers = ["map", "config", "archive", "server", "sequence", "image"]
+    command = [sys.executable, str(FUZZ), "--json", "--cases", "150", "--seed", "7"]
     done = subprocess.run([*command, "--readers", *readers], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     rows = {row["reader"]: row for row in map(json.loads, done.stdout.splitlines())}
@@ -33,7 +33,7 @@ READ = {
     "implausible": "raise AssertionError('far away')",
     "crash": "import os, signal; os.kill(os.getpid(), signal.SIGKILL)",
     "hang": "import time; time.sleep(99)",
-    "memory": "bytes(3 << 30)",
+    "memory": "bytes(5 << 30)",
     "accepted": "pass",
 }
 
@@ -44,7 +44,8 @@ def test_every_fault_is_noticed(
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     script = runpy.run_path(str(FUZZ))
-    monkeypatch.setitem(script["work"].__globals__, "HANG_S", 1)
+    if outcome == "hang":
+        monkeypatch.setitem(script["work"].__globals__, "HANG_S", 1)
     reader = script["Reader"](
         1.0,
         lambda place: None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -30,7 +30,7 @@ from slam_bof.store import (
     replay_keyframes,
 )
 from slam_bof.store.row_checks import CHECKS
-from slam_bof.store.sqlite import prepare, update_checksums
+from slam_bof.store.sqlite import possible_rowids, prepare, update_checksums
 
 
 @pytest.fixture(scope="module")
@@ -252,6 +252,25 @@ def test_a_value_of_gigabytes_is_not_read(path: Path) -> None:
     with pytest.raises(MapError, match="found a value of more than 16777216 bytes"):
         read_everything(path)
     assert any("16777216 bytes" in str(d) or "too big" in str(d) for d in check_map(path))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "sessions SET id = 1 << 60",
+        "frames SET frame_index = 1 << 50 WHERE frame_index = 20",
+        "candidates SET id = 1 << 60",
+    ],
+)
+def test_a_number_far_away_does_not_make_recovery_try_all_before(path: Path, change: str) -> None:
+    with changing(path) as db:
+        db.execute(f"UPDATE {change}")
+        sign(db)
+        assert len(possible_rowids(db, change.split()[0])) < path.stat().st_size
+    out = path.with_name("recovered.db")
+    with suppress(MapError):
+        recover_map(path, out)
+        assert check_map(out) == []
 
 
 def test_a_picture_larger_than_its_camera_is_not_decoded(path: Path) -> None:
