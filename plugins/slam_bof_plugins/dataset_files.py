@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -220,7 +221,7 @@ def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajector
 
 
 def _read_image(path: Path | None, flags: int) -> NDArray[np.uint8] | None:
-    if path is None or not path.is_file():
+    if path is None or not os.path.isfile(path):
         return None
     image = cv2.imread(str(path), flags)
     if image is None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import re
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
@@ -118,11 +119,13 @@ class TumRgbd:
             ``groundtruth.txt`` is a pose.
         """
         stamps_s, files = _read_list(path / "depth.txt")
-        present = [i for i, file in enumerate(files) if file.is_file()]
+        present = [
+            i for i, file in enumerate(files) if os.path.isfile(file)
+        ]  # is_file raises for long names
         if not present:
             raise DatasetError(
                 f"{path / 'depth.txt'}: found {len(files)} images listed and none of them there, "
-                f"expected depth images such as {files[0] if files else 'depth/0.png'}"
+                f"expected depth images such as {str(files[0])[-80:] if files else 'depth/0.png'}"
             )
         if len(present) < len(files):
             logger.warning(
@@ -130,7 +133,7 @@ class TumRgbd:
                 path / "depth.txt",
                 len(files) - len(present),
                 len(files),
-                next(file.name for file in files if not file.is_file()),
+                next(file.name[:80] for file in files if not os.path.isfile(file)),
             )
         files = [files[i] for i in present]
         height, width = check_depth_files(files)

@@ -10,6 +10,7 @@ import typer
 from typer.core import TyperGroup
 
 from slam_bof.cli.bench import bench
+from slam_bof.cli.check import check
 from slam_bof.cli.config import config
 from slam_bof.cli.demo import demo
 from slam_bof.cli.doctor import doctor
@@ -98,7 +99,7 @@ class ShowWarnings(logging.Handler):
 
 
 for command in (
-    *(demo, run, localize, show, report, export, train),
+    *(demo, run, check, localize, show, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
     app.command(cls=NumbersCommand if command in (localize, show) else None)(command)

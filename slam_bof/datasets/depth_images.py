@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 import re
 import struct
 from collections.abc import Sequence
@@ -157,8 +158,8 @@ class DepthImages:
 
 
 def _read(path: Path) -> NDArray[Any]:
-    if not path.is_file():
-        raise DatasetError(f"{path}: found no such file, expected a depth image")
+    if not os.path.isfile(path):  # is_file raises for long names
+        raise DatasetError(f"{str(path)[-200:]}: found no such file, expected a depth image")
     if path.suffix.lower() == ".npy":
         try:
             image = np.asarray(open_npy(path))

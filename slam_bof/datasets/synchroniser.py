@@ -13,14 +13,23 @@ from __future__ import annotations
 import bisect
 from collections import Counter, deque
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 from pydantic import Field
 
 from slam_bof.geometry import se3
-from slam_bof.types import DepthFrame, Params, Pose
+from slam_bof.types import Params, Pose
 
 __all__ = ["Dropped", "FramePoseSynchroniser", "SynchroniserParams"]
+
+
+class Stamped(Protocol):
+    """A depth frame, or a point cloud or another thing with a time."""
+
+    @property
+    def stamp_s(self) -> float:
+        """Time in seconds."""
 
 
 class SynchroniserParams(Params):
@@ -73,7 +82,7 @@ class FramePoseSynchroniser:
         self.dropped: deque[Dropped] = deque(maxlen=1000)
         """The latest; ``counts`` goes on."""
         self.counts: Counter[str] = Counter()
-        self._frames: list[DepthFrame] = []
+        self._frames: list[Stamped] = []
         self._stamps_s: list[float] = []
         self._poses: list[Pose] = []
         self._last_s = -np.inf
@@ -93,7 +102,7 @@ class FramePoseSynchroniser:
         """Return the times of the frames that wait for their pose, oldest first."""
         return [frame.stamp_s for frame in self._frames]
 
-    def add_frame(self, frame: DepthFrame) -> bool:
+    def add_frame(self, frame: Stamped) -> bool:
         """Add a frame, in any order; return whether it was accepted.
 
         One that is not newer than those given out already is dropped; one that there is no room
@@ -147,13 +156,13 @@ class FramePoseSynchroniser:
         self._stamps_s.insert(at, float(stamp_s))
         self._poses.insert(at, T_odom_camera)
 
-    def take(self, *, at_end: bool = False) -> list[tuple[DepthFrame, Pose]]:
+    def take(self, *, at_end: bool = False) -> list[tuple[Any, Pose]]:
         """Return the frames whose pose is known now, oldest first, and forget them.
 
         A frame waits for those before it, but for no longer than ``max_wait_s``; ``at_end``,
         when nothing more will come, no frame waits.
         """
-        ready = []
+        ready: list[tuple[Stamped, Pose]] = []
         newest_s = self._newest_s()
         while self._frames:
             frame = self._frames[0]

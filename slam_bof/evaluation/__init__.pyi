@@ -17,6 +17,12 @@ from .loop_metrics import (
     revisits as revisits,
     same_place as same_place,
 )
+from .odometry_calibration import (
+    Calibration as Calibration,
+    FrameMotion as FrameMotion,
+    calibrate as calibrate,
+    measure_motions as measure_motions,
+)
 from .paper_tables import (
     run_bench as run_bench,
 )

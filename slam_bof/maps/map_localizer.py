@@ -126,7 +126,7 @@ class MapLocalizer:
             raise DatasetError(
                 f"found a frame of {frame.intrinsics}, expected the map's camera, {self.intrinsics}"
             )
-        frame = replace(frame, intrinsics=self.intrinsics).with_sensor(self._sensor)
+        frame = replace(frame, intrinsics=self.intrinsics).corrected(self._sensor)
         localization = self._localizer.localize(frame)
         scene = None if self._labeller is None else self._labeller.label(frame)
         if localization.keyframe_id is None:

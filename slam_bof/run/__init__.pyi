@@ -5,6 +5,9 @@ from .many import (
     SequenceRun as SequenceRun,
     run_sequences as run_sequences,
 )
+from .plan import (
+    read_plan as read_plan,
+)
 from .run import (
     RunInterrupted as RunInterrupted,
     RunResult as RunResult,

@@ -35,6 +35,7 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Pose,
+    SensorParams,
     Step,
     Trajectory,
 )
@@ -187,6 +188,9 @@ class LoopCloser:
             accepted with the next frame that confirms it.
         RuntimeError
             If it is called from inside another call, such as by the journal.
+        Exception
+            In the background, what an earlier keyframe has raised, which is then not in the map.
+            This frame has not been processed, and may be given again.
         """
         with self._whole() as before:
             return self._process(before, frame, T_odom_camera, covariance, T_view_camera)
@@ -203,7 +207,7 @@ class LoopCloser:
         frame_index = len(self.history)
         step_covariance = None if covariance is None else _rotation_first(covariance, frame_index)
         frame, T_odom_camera = self._check(frame, T_odom_camera)
-        frame = quantize_depth(frame.with_sensor(self._config.sensor))
+        frame = quantize_depth(frame.corrected(self.sensor))
         with self._clock.stage("track"):
             track = self._tracker.track(frame, T_odom_camera, step_covariance)
         segment = LOST if track.is_lost else track.segment
@@ -404,6 +408,11 @@ class LoopCloser:
     def n_waiting(self) -> int:
         """Number of keyframes that are not in the map yet; 0 unless in the background."""
         return self._mapping.n_waiting
+
+    @property
+    def sensor(self) -> SensorParams:
+        """The parameters of the depth sensor."""
+        return self._config.sensor
 
     @property
     def n_odometry_lost(self) -> int:

@@ -122,7 +122,7 @@ class MiniSlam:
             except DatasetError as error:
                 self._observer.on_warning(f"frame {first_frame(dataset) + index} skipped: {error}")
             else:
-                yield index, frame
+                yield index, frame.corrected(self._closer.sensor)
 
     def _result(
         self, indices: list[int], poses: list[Pose], *, n_frames: int, n_resumed: int

@@ -106,7 +106,7 @@ def _sqlite_findings(db: sqlite3.Connection) -> Iterator[str]:
                 yield f"file: {' '.join(text.split())}"
         for row in db.execute("PRAGMA foreign_key_check"):
             yield f"{row['table']}, row {row['rowid']}: refers to a row that is missing"
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         _raise_unless_damage(error)
         yield f"file: {error}"
 
@@ -119,7 +119,7 @@ def _check_rows(db: sqlite3.Connection, table: str) -> Iterator[Damage]:
         for row in db.execute(f"SELECT * FROM {table} ORDER BY rowid"):
             if fault := find_fault(table, row):
                 found.append(Damage(table, row[key], fault))
-    except sqlite3.DatabaseError as error:
+    except (sqlite3.DatabaseError, UnicodeDecodeError) as error:
         _raise_unless_damage(error)
         yield from _check_rows_one_by_one(db, table)
         return
@@ -146,9 +146,12 @@ def _last_rowid(db: sqlite3.Connection, table: str) -> int:
     return int(row["last"] or 0)
 
 
-def _raise_unless_damage(error: sqlite3.DatabaseError) -> None:
-    """Raise an error again unless it reports a damaged file."""
-    if error.sqlite_errorcode & 0xFF not in DAMAGE_CODES:
+def _raise_unless_damage(error: sqlite3.DatabaseError | UnicodeDecodeError) -> None:
+    """Raise an error again unless it reports a damaged file, maybe in damaged text."""
+    if (
+        isinstance(error, sqlite3.DatabaseError)
+        and error.sqlite_errorcode & 0xFF not in DAMAGE_CODES
+    ):
         raise error
 
 

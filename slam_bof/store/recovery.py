@@ -27,6 +27,8 @@ from slam_bof.types import LOST
 
 __all__ = ["RecoveryResult", "recover_map"]
 
+UNREADABLE = (sqlite3.DatabaseError, UnicodeDecodeError)
+"""What SQLite raises for damage; texts of its errors may be damaged, too."""
 UNKNOWN_SESSION = ("", "", "", 0, "", None)
 """Data set, sequence, configuration, seed, version and frame limit of an unreadable session."""
 
@@ -109,7 +111,7 @@ def _open(path: Path, stack: ExitStack) -> MapStore:
         try:
             repair_schema(copy)
             return MapStore.open(copy)
-        except (sqlite3.DatabaseError, MapError):
+        except (*UNREADABLE, MapError):
             pass  # the first error says what is wrong with the file itself
         raise
 
@@ -118,7 +120,7 @@ def _last_id(db: sqlite3.Connection) -> int:
     """Return how many keyframes the map seems to have had."""
     try:
         ((last,),) = db.execute("SELECT max(id) FROM keyframes").fetchall()
-    except sqlite3.DatabaseError:
+    except UNREADABLE:
         return 0
     return 0 if last is None else int(last) + 1
 
@@ -133,7 +135,7 @@ def _copy_rows(source: sqlite3.Connection, target: sqlite3.Connection, table: st
     for rowid in _candidate_rowids(source, table):
         try:
             row = source.execute(f"{select} WHERE rowid = ?", (rowid,)).fetchone()
-        except sqlite3.DatabaseError:
+        except UNREADABLE:
             continue
         if row is not None and not find_fault(table, row):
             target.execute(insert, tuple(row))
@@ -143,11 +145,11 @@ def _candidate_rowids(db: sqlite3.Connection, table: str) -> list[int]:
     """Return the row numbers to try."""
     try:
         return [rowid for (rowid,) in db.execute(f"SELECT rowid FROM {table}").fetchall()]
-    except sqlite3.DatabaseError:
+    except UNREADABLE:
         pass
     try:
         ((last,),) = db.execute(f"SELECT max(rowid) FROM {table}").fetchall()
-    except sqlite3.DatabaseError:
+    except UNREADABLE:
         return []
     return list(range(int(last or 0) + 1))
 
@@ -175,7 +177,7 @@ def _read_session(db: sqlite3.Connection, id_: int) -> tuple[object, ...]:
             " WHERE id = ?",
             (id_,),
         ).fetchone()
-    except sqlite3.DatabaseError:
+    except UNREADABLE:
         return UNKNOWN_SESSION
     if row is None or any(
         not isinstance(value, (str, int)[is_number])

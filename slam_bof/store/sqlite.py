@@ -137,6 +137,8 @@ def as_map_errors(path: Path, *, otherwise: int | None = None) -> Iterator[None]
         yield
     except sqlite3.IntegrityError as error:
         raise ValueError(f"{path}: the row does not fit the map: {error}") from error
+    except UnicodeDecodeError as error:  # of the text of an error about a damaged schema
+        raise MapError(f"{path}: {ERROR_MESSAGES[sqlite3.SQLITE_CORRUPT]}") from error
     except (sqlite3.OperationalError, sqlite3.DatabaseError) as error:
         # The low byte is the primary code of SQLite's extended error codes.
         found = ERROR_MESSAGES.get(getattr(error, "sqlite_errorcode", 0) & 0xFF)

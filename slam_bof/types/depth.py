@@ -47,6 +47,12 @@ class SensorParams(Params):
     max_depth_m: float = Field(
         8.0, gt=0, le=60, description="Largest depth in metres that is used."
     )
+    depth_scale: float = Field(
+        1.0,
+        gt=0.5,
+        lt=2.0,
+        description="Factor that measured depth is multiplied by; slam-bof check estimates it.",
+    )
     edge_ratio: float = Field(
         0.1,
         gt=0,
@@ -190,6 +196,16 @@ class DepthFrame:
     def with_sensor(self, sensor: SensorParams) -> DepthFrame:
         """Return the frame with the parameters of a sensor."""
         return self if sensor == self.sensor else replace(self, sensor=sensor)
+
+    def corrected(self, sensor: SensorParams) -> DepthFrame:
+        """Return the frame with the parameters of a sensor, and its depth in that scale.
+
+        A frame that has these parameters already counts as corrected.
+        """
+        scale = sensor.depth_scale / self.sensor.depth_scale
+        if sensor == self.sensor or scale == 1.0:
+            return self.with_sensor(sensor)
+        return replace(self, depth=self.depth_m() * np.float32(scale), sensor=sensor)
 
     def depth_in_range_m(self, stride: int = 1) -> NDArray[np.float32]:
         """Return the depth as ``depth_m`` does, 0 also outside the range of the sensor."""

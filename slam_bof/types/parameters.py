@@ -11,6 +11,8 @@ __all__ = ["Params"]
 
 MAX_COUNT = 1_000_000
 """Largest plausible count; a larger one would only fail after a long time."""
+MAX_NUMBER = 1e9
+"""Largest plausible number in any unit."""
 MAX_SEED = 2**32 - 1
 """Largest seed of scikit-learn."""
 
@@ -18,8 +20,8 @@ MAX_SEED = 2**32 - 1
 class Params(BaseModel):
     """Base class of all parameters.
 
-    They are frozen. An unknown key, a number that is not finite and a count of more than a million
-    are errors.
+    They are frozen. An unknown key, a number that is not finite or above 1e9, and a count of more
+    than a million are errors.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -47,9 +49,13 @@ class Params(BaseModel):
         return {**given, **completed}
 
     @model_validator(mode="after")
-    def _check_counts(self) -> Self:
+    def _check_sizes(self) -> Self:
         for name, value in self:
-            limit = MAX_SEED if name == "seed" else MAX_COUNT
-            if isinstance(value, int) and value > limit:
-                raise ValueError(f"{name} must be at most {limit}, got {str(value)[:20]}")
+            for number in value if isinstance(value, tuple) else (value,):
+                if not isinstance(number, int | float):
+                    continue
+                limit = MAX_COUNT if isinstance(number, int) else MAX_NUMBER
+                limit = MAX_SEED if name == "seed" else limit
+                if abs(number) > limit:
+                    raise ValueError(f"{name} must be at most {limit:.10g}, got {str(number)[:20]}")
         return self

@@ -20,6 +20,9 @@ from .misses_page import (
 from .plan import (
     Plan as Plan,
 )
+from .plan_figure import (
+    draw_plan as draw_plan,
+)
 from .run_report import (
     FrameHealth as FrameHealth,
     ReportData as ReportData,

@@ -42,6 +42,8 @@ PALETTE = ("#2f6fd6", "#d9822b", "#3a9a6a", "#c8423f", "#7a5cc0", "#8a6d4b", "#4
 NAMES = {"groundtruth": "ground truth", "odometry": "odometry alone", "optimized": "with loops"}
 FONT = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
 HEIGHT_PX = 460
+MAX_LINKS = 80
+"""Number of edges of one kind that are drawn in a figure."""
 
 
 def draw_top_view(
@@ -73,8 +75,9 @@ def draw_top_view(
         hovertemplate="keyframe %{customdata}<extra></extra>",
     )
     for name, ends in links.items():
-        x, y, _ = _segments(ends)
-        figure.add_scatter(x=x, y=y, **_link_style(name, len(ends)))
+        drawn = _thinned(name, ends)
+        x, y, _ = _segments(drawn)
+        figure.add_scatter(x=x, y=y, **_link_style(name, len(drawn), len(ends)))
     if len(points := paths["optimized"]):
         for label, side, (x, y, _) in (
             ("start", "top right", points[0]),
@@ -101,8 +104,9 @@ def draw_trajectories(paths: Mapping[str, Array], links: Mapping[str, Array]) ->
         figure.add_scatter3d(x=x, y=y, z=z, **_path_style(name))
     for name in ("loop", "wrong"):
         if name in links:
-            x, y, z = _segments(links[name])
-            figure.add_scatter3d(x=x, y=y, z=z, **_link_style(name, len(links[name])))
+            drawn = _thinned(name, links[name])
+            x, y, z = _segments(drawn)
+            figure.add_scatter3d(x=x, y=y, z=z, **_link_style(name, len(drawn), len(links[name])))
     axis = {
         "showbackground": False,
         "gridcolor": COLORS["grid"],
@@ -353,12 +357,17 @@ def _path_style(name: str) -> dict[str, Any]:
     }
 
 
-def _link_style(name: str, n: int) -> dict[str, Any]:
+def _thinned(name: str, ends: Array) -> Array:
+    """Return as many edges (L, 2, 3) as can be told apart, evenly chosen; all that are wrong."""
+    return ends if name == "wrong" else ends[:: -(-len(ends) // MAX_LINKS) or 1]
+
+
+def _link_style(name: str, n_drawn: int, n: int) -> dict[str, Any]:
     color = {"loop": "good", "wrong": "bad", "covisibility": "muted"}[name]
     words = {"loop": "loops", "wrong": "wrong loops", "covisibility": "covisibility edges"}[name]
     return {
         "mode": "lines",
-        "name": f"{words} ({n})",
+        "name": f"{words} ({n})" if n_drawn == n else f"{words} ({n_drawn} of {n} drawn)",
         "line": {"color": COLORS[color], "width": 2 if name == "loop" else 3},
         "visible": "legendonly" if name == "covisibility" else True,
         "hoverinfo": "name",

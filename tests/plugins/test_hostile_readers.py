@@ -123,6 +123,16 @@ def test_camera_files_of_anything_are_refused(tmp_path: Path, text: str) -> None
         read_depth_image(folder / "depth" / "0.npy", camera_file=folder / "intrinsics.json")
 
 
+def test_names_that_no_file_can_have_are_of_missing_files(tmp_path: Path) -> None:
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth.txt").write_text(f"0.0 depth/{'x' * 3000}.png\n")
+    message = refusal("tum", tmp_path)
+    assert "1 images listed and none of them there" in message
+    assert len(message) < 500
+    with pytest.raises(DatasetError, match="found no such file"):
+        read_depth_image(tmp_path / ("y" * 3000))
+
+
 def test_a_picture_of_a_billion_pixels_is_not_decoded(tmp_path: Path) -> None:
     png = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + struct.pack(">2I5B", 60_000, 60_000, 16, 0, 0, 0, 0)
     (tmp_path / "x.png").write_bytes(png)

@@ -26,6 +26,8 @@ REFUSED = {
     "seed: 18446744073709551616": "seed must be at most 4294967295",
     "seed: .nan": "finite",
     "loops: {revisit_distance_m: .inf}": "finite",
+    "keyframes: {angle_rad: 1.0e+38}": "angle_rad must be at most 1000000000, got 1e+38",
+    "gravity_odom: [0, 1.0e+300, 0]": "gravity_odom must be at most",
     "loops: {top_k: 999999999999}": "top_k must be at most 1000000",
     "seed: !!timestamp 99": "a type",
     "seed: !!python/object:os.system x": "a type",

@@ -206,6 +206,14 @@ def test_loops_are_told_from_wrong_ones_and_covisibility(tmp_path: Path, data) -
     assert "ground truth" not in names
 
 
+def test_more_loops_than_can_be_told_apart_are_thinned(tmp_path: Path, data) -> None:
+    loops = [replace(data.loops[0], query_id=k % 9 + 1, match_id=0) for k in range(200)]
+    top_view = plots(write(tmp_path, replace(data, loops=loops, groundtruth=None)))["top-view"]
+    (drawn,) = [t for t in top_view if t.get("name", "").startswith("loops (")]
+    assert drawn["name"] == "loops (67 of 200 drawn)"
+    assert len(drawn["x"]) == 3 * 67
+
+
 def test_candidates_show_the_decision_and_its_reason(tmp_path: Path, data) -> None:
     html = write(tmp_path, data)
     traces = plots(html)["candidates"]

@@ -21,18 +21,29 @@ from slam_bof_plugins.ros_messages import (
 )
 from slam_bof_ros.transforms import TransformTree
 
-__all__ = ["FrameSource", "PosedFrame", "camera_of", "step_covariance"]
+__all__ = ["Cloud", "FrameSource", "PosedFrame", "camera_of", "points_of", "step_covariance"]
 
+R_FLU_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""From the axes of a camera to those of a body: x forward, y left, z up (REP 103)."""
 MAX_WAIT_S = 0.2
 """An image whose pose has not come when poses are newer by this is dropped, and counted."""
+FLOAT32 = 7
+"""Of sensor_msgs/PointField."""
 MAX_GAP_S = 0.5
 """Frames farther apart than this have no covariance of the step between them."""
 
 
-class PosedFrame(NamedTuple):
-    """A depth frame, its camera in the odometry frame, and the covariance of the step to it."""
+class Cloud(NamedTuple):
+    """Points (N, 3) of a sensor, x right, y down, z forward."""
 
-    frame: DepthFrame
+    stamp_s: float
+    points_camera: Array
+
+
+class PosedFrame(NamedTuple):
+    """A depth frame or cloud, its sensor in the odometry frame, and the covariance of the step."""
+
+    frame: DepthFrame | Cloud
     T_odom_camera: Pose
     covariance: Array | None
     frame_id: str
@@ -102,8 +113,23 @@ class FrameSource:
         camera = camera_of(self._info, depth.shape, is_rectified=is_rectified)
         frame = DepthFrame(seconds(message.header.stamp), depth, camera)
         self._camera_frame = clean_frame(message.header.frame_id)
-        if not self._pairs.add_frame(frame):
-            self.problem = "too many images wait for odometry: does it come, and on the same clock?"
+        self._add(frame)
+
+    def add_cloud(self, message: Any) -> None:
+        """Take a sensor_msgs/PointCloud2 instead of a depth image.
+
+        Its axes are those of a body (REP 103), unless its frame is named an optical one.
+
+        Raises
+        ------
+        DatasetError
+            If it has no coordinates.
+        """
+        self._camera_frame = clean_frame(message.header.frame_id)
+        points = points_of(message)
+        if not self._is_optical():
+            points = points @ R_FLU_CAMERA
+        self._add(Cloud(seconds(message.header.stamp), points))
 
     def add_odometry(self, message: Any) -> None:
         """Take a nav_msgs/Odometry; one whose pose is none is left out."""
@@ -125,6 +151,13 @@ class FrameSource:
             self.problem = ""
         return posed
 
+    def _add(self, frame: DepthFrame | Cloud) -> None:
+        if not self._pairs.add_frame(frame):
+            self.problem = "too many images wait for odometry: does it come, and on the same clock?"
+
+    def _is_optical(self) -> bool:
+        return self._info is not None or "optical" in self._camera_frame
+
     def _add_pose(self, message: Any) -> bool:
         """Add the pose of an odometry message; False if the mounting is not known yet."""
         stamp_s, T_odom_base = seconds(message.header.stamp), pose_matrix(message.pose.pose)
@@ -143,7 +176,7 @@ class FrameSource:
         for stamp_s in self._pairs.waiting_stamps_s:
             T = self.tree.lookup(self.odom_frame, self._camera_frame, stamp_s)
             if T is not None:
-                self._pairs.add_pose(stamp_s, T)
+                self._pairs.add_pose(stamp_s, T @ self._T_sensor_camera())
 
     def _mounting(self, stamp_s: float) -> Pose | None:
         """Return ``T_base_camera``; the identity if the odometry is the camera's own."""
@@ -155,7 +188,11 @@ class FrameSource:
                 f"found no transform from {self.base_frame} to {self._camera_frame}, "
                 "expected one on /tf_static"
             )
-        return T
+        return None if T is None else T @ self._T_sensor_camera()
+
+    def _T_sensor_camera(self) -> Pose:
+        """Return the pose of the axes of a camera in the sensor's frame."""
+        return np.eye(4) if self._is_optical() else se3.pose(R_FLU_CAMERA, np.zeros(3))
 
 
 def camera_of(info: Any, shape: tuple[int, ...], *, is_rectified: bool) -> Intrinsics:
@@ -178,6 +215,35 @@ def camera_of(info: Any, shape: tuple[int, ...], *, is_rectified: bool) -> Intri
         return Intrinsics(width, height, *numbers)
     except ValueError as error:
         raise DatasetError(f"camera_info: {error}") from None
+
+
+def points_of(message: Any) -> Array:
+    """Return the points (N, 3) of a sensor_msgs/PointCloud2 that are finite.
+
+    Raises
+    ------
+    DatasetError
+        If it has no fields x, y and z of float32.
+    """
+    offsets = {field.name: field.offset for field in message.fields if field.datatype == FLOAT32}
+    if not {"x", "y", "z"} <= set(offsets):
+        listed = ", ".join(field.name for field in message.fields) or "none"
+        raise DatasetError(f"cloud: found fields {listed}, expected x, y and z of float32")
+    order = ">" if message.is_bigendian else "<"
+    kind = np.dtype(
+        {
+            "names": ["x", "y", "z"],
+            "formats": [f"{order}f4"] * 3,
+            "offsets": [offsets[name] for name in "xyz"],
+            "itemsize": message.point_step,
+        }
+    )
+    rows = np.frombuffer(bytes(message.data), np.uint8)
+    if message.row_step > message.width * message.point_step:  # padded rows
+        rows = rows.reshape(message.height, -1)[:, : message.width * message.point_step].ravel()
+    found = np.frombuffer(rows.tobytes(), kind)
+    points = np.stack([found["x"], found["y"], found["z"]], axis=1).astype(np.float64)
+    return points[np.isfinite(points).all(axis=1)]
 
 
 def step_covariance(

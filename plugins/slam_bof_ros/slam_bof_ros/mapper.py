@@ -25,7 +25,7 @@ from slam_bof.scenes import MapRoom, label_map
 from slam_bof.slam import LoopCloser, config as configs
 from slam_bof.store import MapStore, replay_keyframes
 from slam_bof.types import Array, DepthFrame, Keyframe, Loop, Pose, Scene, Step
-from slam_bof_ros.frames import PosedFrame
+from slam_bof_ros.frames import Cloud, PosedFrame
 
 __all__ = ["Health", "MapSnapshot", "Mapper", "MapperSettings"]
 
@@ -124,7 +124,10 @@ class Mapper:
             return None
         start_s = time.perf_counter()
         try:
-            step = self.closer.process(posed.frame, posed.T_odom_camera, posed.covariance)
+            if isinstance(posed.frame, Cloud):
+                step = self.closer.process_points(*posed.frame, posed.T_odom_camera)
+            else:
+                step = self.closer.process(posed.frame, posed.T_odom_camera, posed.covariance)
         except FrameError as error:
             self.health.errors = [*self.health.errors[-9:], str(error)]
             return None
@@ -151,7 +154,7 @@ class Mapper:
         keyframes = map_.keyframes
         n = len(keyframes)  # more may have come when the rest is read
         T_map_camera = map_.poses()[:n] if n else np.empty((0, 4, 4))
-        components = map_.components[:n]
+        components, anchors = map_.components[:n], map_.anchors[:n]
         loops = [loop for loop in map_.loops if max(loop.query_id, loop.match_id) < n]
         labels, rooms = label_map(
             keyframes,
@@ -159,6 +162,7 @@ class Mapper:
             self._config.labels,
             self._config.rooms,
             components=components,
+            anchors=anchors,
         )
         return MapSnapshot(keyframes, T_map_camera, components, loops, labels, rooms)
 

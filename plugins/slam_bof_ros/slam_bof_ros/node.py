@@ -41,6 +41,7 @@ PARAMETERS: dict[str, Any] = {
     "map_frame": "map",
     "use_tf": False,
     "use_covariance": True,
+    "input": "depth",
     "compressed": False,
     "rectified": True,
     "tf_rate": 20.0,
@@ -113,18 +114,21 @@ class SlamBofNode(Node):
         return self.get_parameter(name).value
 
     def _listen(self) -> None:
-        """Subscribe to depth, its camera, and odometry."""
-        kind = CompressedImage if self._value("compressed") else Image
-        suffix = "/compressedDepth" if self._value("compressed") else ""
-        self.create_subscription(
-            kind, f"depth/image_rect_raw{suffix}", self._on_image, qos_profile_sensor_data
-        )
-        self.create_subscription(
-            CameraInfo,
-            "depth/camera_info",
-            self._source.add_camera_info,
-            qos_profile_sensor_data,
-        )
+        """Subscribe to depth and its camera, or to clouds, and to odometry."""
+        if self._value("input") == "cloud":
+            self.create_subscription(PointCloud2, "cloud", self._on_cloud, qos_profile_sensor_data)
+        else:
+            kind = CompressedImage if self._value("compressed") else Image
+            suffix = "/compressedDepth" if self._value("compressed") else ""
+            self.create_subscription(
+                kind, f"depth/image_rect_raw{suffix}", self._on_image, qos_profile_sensor_data
+            )
+            self.create_subscription(
+                CameraInfo,
+                "depth/camera_info",
+                self._source.add_camera_info,
+                qos_profile_sensor_data,
+            )
         if not self._value("use_tf"):
             self.create_subscription(Odometry, "odom", self._on_odometry, qos_profile_sensor_data)
 
@@ -159,6 +163,13 @@ class SlamBofNode(Node):
             self._warn(str(error))
         self._process()
 
+    def _on_cloud(self, message: PointCloud2) -> None:
+        try:
+            self._source.add_cloud(message)
+        except DatasetError as error:
+            self._warn(str(error))
+        self._process()
+
     def _on_odometry(self, message: Odometry) -> None:
         self._source.add_odometry(message)
         self._process()
@@ -184,9 +195,7 @@ class SlamBofNode(Node):
             self._publish["pose"].publish(outputs.pose_message(stamp_s, frame, T_map_camera, step))
         if step.keyframe is None:
             return
-        self._publish["cloud"].publish(
-            outputs.cloud_message(stamp_s, frame, posed.frame, T_map_camera)
-        )
+        self._publish["cloud"].publish(outputs.cloud_message(frame, posed.frame, T_map_camera))
         scene = step.keyframe.smoothed or step.scene
         if scene is not None:
             self._publish["scene"].publish(outputs.scene_message(scene))

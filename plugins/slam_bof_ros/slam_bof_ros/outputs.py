@@ -25,6 +25,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from slam_bof.geometry import se3, view_points
 from slam_bof.maps import OccupancyGrid
 from slam_bof.types import DepthFrame, EdgeKind, Pose, Scene, Step
+from slam_bof_ros.frames import Cloud
 from slam_bof_ros.mapper import MapSnapshot
 
 __all__ = [
@@ -146,15 +147,16 @@ def grid_message(stamp_s: float, frame: str, grid: OccupancyGrid) -> GridMessage
     return message
 
 
-def cloud_message(stamp_s: float, frame: str, depth: DepthFrame, T_map_camera: Pose) -> PointCloud2:
-    """Return the points of a depth frame in the map."""
-    points = se3.transform(T_map_camera, view_points(depth).astype(np.float64)).astype("<f4")
+def cloud_message(frame: str, seen: DepthFrame | Cloud, T_map_camera: Pose) -> PointCloud2:
+    """Return the points of a depth frame or cloud in the map."""
+    points_camera = seen.points_camera if isinstance(seen, Cloud) else view_points(seen)
+    points = se3.transform(T_map_camera, points_camera.astype(np.float64)).astype("<f4")
     fields = [
         PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
         for k, name in enumerate("xyz")
     ]
     return PointCloud2(
-        header=Header(stamp=time_message(stamp_s), frame_id=frame),
+        header=Header(stamp=time_message(seen.stamp_s), frame_id=frame),
         height=1, width=len(points), fields=fields, is_bigendian=False, point_step=12,
         row_step=12 * len(points), data=points.tobytes(), is_dense=True,
     )  # fmt: skip

@@ -196,3 +196,37 @@ def test_broken_transforms_and_circles_do_no_harm(tree):
 
 def test_seconds_keep_their_nanoseconds():
     assert seconds(stamp(12.25)) == 12.25
+
+
+def cloud(time_s, points, frame="lidar", padding=4):
+    rows = np.zeros((len(points), 12 + padding), np.uint8)
+    rows[:, padding:] = points.astype("<f4").view(np.uint8).reshape(len(points), 12)
+    fields = [Message(name=n, offset=padding + 4 * k, datatype=7) for k, n in enumerate("xyz")]
+    return Message(
+        header=header(time_s, frame), fields=fields, is_bigendian=False, point_step=12 + padding,
+        row_step=rows.size, width=len(points), height=1, data=rows.tobytes(),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("frame", ["lidar", "lidar_optical_frame"])
+def test_clouds_have_the_axes_of_a_body_unless_their_frame_is_an_optical_one(tree, frame):
+    """Where a point is in the odometry frame does not depend on it."""
+    T_base_lidar = se3.exp(np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+    tree.add([transform(0.0, "base_link", frame, T_base_lidar)], is_static=True)
+    source = FrameSource(tree)
+    points = np.array([[1.0, 2.0, 3.0], [np.nan, 0.0, 0.0], [-4.0, 5.0, 6.0]])
+    source.add_cloud(cloud(0.0, points, frame))
+    source.add_odometry(odometry(0.0, turn(0.0)))
+    (posed,) = source.take()
+    found = se3.transform(posed.T_odom_camera, posed.frame.points_camera)
+    expected = se3.transform(turn(0.0) @ T_base_lidar, points[[0, 2]])
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    if frame == "lidar":
+        np.testing.assert_allclose(posed.frame.points_camera[0], [-2.0, -3.0, 1.0], atol=1e-6)
+
+
+def test_a_cloud_without_coordinates_is_refused(tree):
+    message = cloud(0.0, np.ones((3, 3)))
+    del message.fields[2]
+    with pytest.raises(DatasetError, match="found fields x, y, expected x, y and z of float32"):
+        FrameSource(tree).add_cloud(message)
