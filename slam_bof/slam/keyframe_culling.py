@@ -31,7 +31,7 @@ class MapParams(Params):
         "pose graph; with bags none are.",
     )
     n_views: int = Field(
-        3,
+        6,
         gt=0,
         description="Number of older keyframes at the viewpoint of a keyframe from which it is "
         "removed.",
