@@ -79,6 +79,8 @@ RENAMED_KEYS = {
     "regions": "rooms",
 }
 """Keys of earlier versions, given by the end of their path, and their present names."""
+REMOVED_KEYS = ("recogniser.n_plans", "recogniser.plan_weight", "options.min_stiffness")
+"""Keys of earlier versions that a saved map may still have, given by the end of their path."""
 
 
 class PluginChoice(Params):
@@ -170,7 +172,8 @@ def parse(text: str, where: str) -> Config:
 def parse_saved(text: str, where: str) -> Config:
     """Return the configuration that a saved map keeps, as ``parse`` does.
 
-    Keys of earlier versions, which ``parse`` refuses, are replaced by their present names.
+    Keys of earlier versions, which ``parse`` refuses, are replaced by their present names, or left
+    out if nothing came of them.
     """
     return _validate(_upgrade(_read_yaml(text, where)), where)
 
@@ -268,12 +271,14 @@ def _renamed_keys(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _upgrade(values: Any, path: str = "") -> Any:
-    """Return the values with keys of earlier versions renamed."""
+    """Return the values with keys of earlier versions renamed or removed."""
     if not isinstance(values, Mapping):
         return values
     upgraded = {}
     for key, value in values.items():
         place = f"{path}.{key}"
+        if place.endswith(tuple(f".{removed}" for removed in REMOVED_KEYS)):
+            continue
         new = next((n for old, n in RENAMED_KEYS.items() if place.endswith(f".{old}")), key)
         upgraded[new] = _upgrade(value, f"{path}.{new}")
     return upgraded
