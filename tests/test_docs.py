@@ -31,7 +31,7 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", flags=re.DOTALL | re.MULTILINE)
 LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#[^)]*)?\)")
 KEY = re.compile(r"`((?:--set )?[a-z_]+(?:\.[a-z_0-9]+)+)(?:[:=][^`]*)?`")
-FILES = {"loops.csv", "loops.py", "map.db", "map.ply"}
+FILES = {"loops.csv", "loops.py", "map.db", "map.ply", "map.saved.db"}
 """Look like keys of a configuration."""
 GENERATED = ("reference/", "project/")
 """Folders of pages that are made when the site is built, which checks the links to them."""
