@@ -209,7 +209,9 @@ def _listed_times(path: Path, files: list[Path]) -> tuple[list[Path], Array]:
         try:
             rows.append((words[-2] if len(words) == 2 else "", float(words[-1])))
         except ValueError:
-            raise DatasetError(f"{where}: found {' '.join(words)!r}, expected seconds") from None
+            raise DatasetError(
+                f"{where}: found {' '.join(words)[:80]!r}, expected seconds"
+            ) from None
     if all(name for name, _ in rows):
         by_name = {name: file for file in files for name in (file.name, file.stem, _stem(file))}
         known = [(by_name[name], stamp_s) for name, stamp_s in rows if name in by_name]

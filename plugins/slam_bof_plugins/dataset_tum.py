@@ -171,9 +171,13 @@ def _read_list(path: Path) -> tuple[Array, list[Path]]:
         stamp_s = _number(words[0])
         name = PurePosixPath(words[-1])
         if len(words) != 2 or not math.isfinite(stamp_s):
-            raise DatasetError(f"{where}: found {' '.join(words)!r}, expected a stamp and a file")
+            raise DatasetError(
+                f"{where}: found {' '.join(words)[:80]!r}, expected a stamp and a file"
+            )
         if name.is_absolute() or ".." in name.parts:
-            raise DatasetError(f"{where}: found {words[1]!r}, expected a file below the sequence")
+            raise DatasetError(
+                f"{where}: found {words[1][:80]!r}, expected a file below the sequence"
+            )
         stamps_s.append(stamp_s)
         files.append(path.parent / name)
     found = np.array(stamps_s)

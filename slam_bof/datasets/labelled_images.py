@@ -68,7 +68,9 @@ def read_image_table(file: Path, *, camera_file: Path | None = None) -> list[Lab
         words = [(row[name] or "").strip() for name in (file_column, scene_column, GROUP_COLUMN)]
         path = file.parent / words[0]
         if not all(words):
-            raise DatasetError(f"{file}:{number}: found {','.join(words)!r}, expected {EXPECTED}")
+            raise DatasetError(
+                f"{file}:{number}: found {','.join(words)[:80]!r}, expected {EXPECTED}"
+            )
         if not path.is_file():
             raise DatasetError(f"{file}:{number}: found no {path}, expected a depth image")
         gravity = _gravity(row, f"{file}:{number}") if has_gravity else None

@@ -210,7 +210,7 @@ def _parse(data: bytes, name: str) -> Model:
         ) from None
     if found[:2] != (FORMAT, FORMAT_VERSION):
         raise ModelError(
-            f"{name}: found {found[0]!r} format version {found[1]!r}, "
+            f"{name}: found {repr(found[0])[:80]} format version {repr(found[1])[:80]}, "
             f"expected {FORMAT!r} version {FORMAT_VERSION}"
         )
     content = {k: v for k, v in manifest.items() if k not in ("content_sha256", "made_with")}

@@ -59,7 +59,9 @@ def read_poses(files: list[Path], sequence: str) -> tuple[list[int], Array]:
             match = _LINE.fullmatch(line.strip())
             values = match["values"].split() if match else []
             if match is None or len(values) != 8:
-                raise DatasetError(f"{file}: found {line!r}, expected seq-XX/frame-N and 8 numbers")
+                raise DatasetError(
+                    f"{file}: found {line[:80]!r}, expected seq-XX/frame-N and 8 numbers"
+                )
             if match["sequence"] == sequence:
                 rows[int(match["number"])] = np.array(values[:7], dtype=np.float64)
     if not rows:

@@ -129,6 +129,9 @@ def test_names_that_no_file_can_have_are_of_missing_files(tmp_path: Path) -> Non
     message = refusal("tum", tmp_path)
     assert "1 images listed and none of them there" in message
     assert len(message) < 500
+    for line in (f"0.0 ../{'x' * 3000}", "y" * 3000):
+        (tmp_path / "depth.txt").write_text(line)
+        assert len(refusal("tum", tmp_path)) < 500
     with pytest.raises(DatasetError, match="found no such file"):
         read_depth_image(tmp_path / ("y" * 3000))
 

@@ -111,6 +111,15 @@ def test_a_header_that_promises_terabytes_allocates_nothing(
     assert "idf.npy: found" in refused({**entries, "idf.npy": data}, tmp_path)
 
 
+@pytest.mark.parametrize("key", ["format", "format_version"])
+def test_a_format_of_thousands_of_characters_is_shown_in_part(
+    trained: dict[str, Path], tmp_path: Path, key: str
+) -> None:
+    entries = read_entries(trained["svm-linear"].read_bytes())
+    manifest = json.loads(entries["manifest.json"]) | {key: "x" * 9000}
+    refused({**entries, "manifest.json": json.dumps(manifest).encode()}, tmp_path)
+
+
 def inside(entries: Entries, change: Callable[[Entries, Any], None]) -> Entries:
     """Return the entries after changing the files and the schema in ``scenes.skops``."""
     files = read_entries(entries["scenes.skops"])
