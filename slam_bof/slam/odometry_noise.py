@@ -24,6 +24,8 @@ __all__ = ["OdometryNoise"]
 
 MIN_TRIPLES, MIN_STEPS = 20, 10
 """With fewer of either, nothing is known yet."""
+MAX_TRIPLES = 4
+"""Number of triples, the newest ones, that an edge is taken in."""
 TINY = 1e-18
 """A variance of closures, in rad^2 and m^2, that is rounding."""
 
@@ -58,7 +60,8 @@ class OdometryNoise:
         self._neighbours[match_id][query_id] = self._neighbours[query_id][match_id] = se3.log(
             se3.inverse(T_match_query) @ by_odometry
         )
-        for other in self._neighbours[match_id].keys() & self._neighbours[query_id].keys():
+        common = self._neighbours[match_id].keys() & self._neighbours[query_id].keys()
+        for other in sorted(common)[-MAX_TRIPLES:]:
             self._add_triple(*sorted((match_id, query_id, other)))
         if query_id == match_id + 1:
             self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
@@ -86,8 +89,7 @@ class OdometryNoise:
 
     def _add_triple(self, i: int, j: int, k: int) -> None:
         """Learn from three keyframes, in the order of time, with an edge between each two."""
-        T_k_j = self._step(k, j)
-        a = se3.log(T_k_j @ se3.exp(self._neighbours[i][j]) @ se3.inverse(T_k_j))
+        a = _seen_from(self._step(k, j), self._neighbours[i][j])
         b, c = self._neighbours[j][k], self._neighbours[i][k]
         self._walk = self._walk + _products(a + b, c) + 2.0 * _products(a, b)
         self._closure = self._closure + _squares(a + b - c)
@@ -97,6 +99,14 @@ class OdometryNoise:
     def _step(self, a: int, b: int) -> Pose:
         """Return the pose (4, 4) of keyframe b in the camera of keyframe a."""
         return se3.inverse(self.T_odom_camera[a]) @ self.T_odom_camera[b]
+
+
+def _seen_from(T_k_j: Pose, tangent: Array) -> Array:
+    """Return a small motion (6,) of frame j as one of frame k (its adjoint)."""
+    R, (x, y, z) = T_k_j[:3, :3], T_k_j[:3, 3]
+    wx, wy, wz = turn = R @ tangent[:3]
+    lever = [y * wz - z * wy, z * wx - x * wz, x * wy - y * wx]
+    return np.concatenate([turn, R @ tangent[3:] + lever])
 
 
 def _products(a: Array, b: Array) -> Array:

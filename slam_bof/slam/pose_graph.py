@@ -17,15 +17,16 @@ from slam_bof.types import Array, EdgeKind, Keyframe, Loop
 
 __all__ = ["MapGraph"]
 
-MAX_RELATIVE_SIGMA = 2.0
-"""Odometry replaces tracking if it is not less precise than an edge by more than this factor."""
+MAX_RELATIVE_SIGMA = 0.7
+"""Odometry replaces tracking if its standard deviation is at most this share of that of an edge."""
 
 
 class MapGraph:
     """Takes keyframes and loops in the order they come; joins components that loops join.
 
-    Steps from keyframe to keyframe are those of tracking. If odometry turns out to be as precise as
-    the edges between keyframes, they become those of odometry in the final optimisation.
+    Steps from keyframe to keyframe are those of tracking. If odometry turns out to be more
+    precise than the edges between keyframes, they become those of odometry in the final
+    optimisation.
 
     Attributes
     ----------
