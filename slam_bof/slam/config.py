@@ -79,7 +79,7 @@ RENAMED_KEYS = {
     "regions": "rooms",
 }
 """Keys of earlier versions, given by the end of their path, and their present names."""
-REMOVED_KEYS = ("recogniser.n_plans", "recogniser.plan_weight", "options.min_stiffness")
+REMOVED_KEYS = ("recogniser.n_plans", "recogniser.plan_weight")
 """Keys of earlier versions that a saved map may still have, given by the end of their path."""
 
 

@@ -199,12 +199,8 @@ def test_every_renamed_key_exists_under_its_new_name():
 
 
 def test_a_saved_map_may_have_keys_of_what_was_removed():
-    text = (
-        "loops: {recogniser: {n_plans: 100, plan_weight: 0.5, n_aligned: 7}}\n"
-        "verifier: {name: projective, options: {min_stiffness: 0.002}}\n"
-    )
+    text = "loops: {recogniser: {n_plans: 100, plan_weight: 0.5, n_aligned: 7}}"
     saved = config.parse_saved(text, "map.db")
     assert saved.loops.recogniser.n_aligned == 7
-    assert saved.verifier.options == {}
     with pytest.raises(ConfigError, match=r"loops\.recogniser\.n_plans"):
         config.parse(text, "my.yaml")
