@@ -150,6 +150,15 @@ def test_what_no_map_can_have_is_refused_under_a_right_checksum(
             copying()
 
 
+def test_a_pair_without_correspondences_is_no_damage(path: Path) -> None:
+    with changing(path) as db:
+        db.execute("UPDATE candidates SET rmse_m = 9e999")
+        sign(db)
+    read_everything(path)
+    with MapStore.open(path) as store:
+        assert np.isinf(next(iter(store.checked_rows("candidates", "")))["rmse_m"])
+
+
 def test_every_table_has_checks() -> None:
     assert set(CHECKS) == set(KEY_COLUMNS)
 
