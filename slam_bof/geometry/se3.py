@@ -55,9 +55,6 @@ expected an orthonormal one of determinant 1
         raise ValueError(f"found an array {T.shape}, expected a (4, 4) transform")
     if not np.isfinite(T).all():
         raise ValueError("found NaN or infinity, expected 12 finite numbers")
-    if len(T) == 4 and np.abs(T[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
-        last_row = " ".join(f"{number:g}" for number in T[3])
-        raise ValueError(f"found a last row {last_row}, expected 0 0 0 1")
     if (farthest_m := float(np.abs(T[:3, 3]).max())) > MAX_POSITION_M:
         raise ValueError(f"found a position at {farthest_m:g} m, expected metres")
     R = T[:3, :3]
@@ -68,6 +65,9 @@ expected an orthonormal one of determinant 1
             f"found a matrix that is no rotation (determinant {determinant:.6g}, "
             f"R'R off by {off:.3g}), expected an orthonormal one of determinant 1"
         )
+    if len(T) == 4 and np.abs(T[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
+        last_row = " ".join(f"{number:g}" for number in T[3])
+        raise ValueError(f"found a last row {last_row}, expected 0 0 0 1")
 
 
 def pose(R: ArrayLike, t: ArrayLike) -> Pose:
