@@ -10,7 +10,8 @@ each two. Let A, B and C be the differences between odometry and the edges i-j, 
   A C + B C + 2 A B is the variance of odometry from i to k, whatever the noise of edges and views.
 
 Noise by which each pose of odometry is off by itself adds to the differences from one keyframe to
-the next, beyond the noise of their edges.
+the next, beyond the noise of their edges. A slow drift that always goes the same way is no random
+walk and hardly shows in short edges; it shows in those between keyframes that are far apart.
 """
 
 from __future__ import annotations
@@ -26,6 +27,12 @@ MIN_TRIPLES, MIN_STEPS = 20, 10
 """With fewer of either, nothing is known yet."""
 MAX_TRIPLES = 4
 """Number of triples, the newest ones, that an edge is taken in."""
+LONG = 10
+"""Edges over more than this number of keyframes show a slow drift."""
+LONG_FACTOR = 2.5
+"""Long edges are less precise than others by no more than this factor, since views differ more."""
+MIN_RELATIVE_SIGMA = 0.1
+"""A step is believed no more than this, because a few edges do not show a slow drift."""
 TINY = 1e-18
 """A variance of closures, in rad^2 and m^2, that is rounding."""
 
@@ -39,11 +46,12 @@ class OdometryNoise:
     def __init__(self) -> None:
         self.T_odom_camera: dict[int, Pose] = {}
         self._neighbours: dict[int, dict[int, Array]] = {}
-        self._n_triples = self._n_steps = self._n_passed = 0
+        self._n_triples = self._n_steps = self._n_long = self._n_passed = 0
         # Sums of squares over the three axes, of rotation and of translation, each (2,):
         self._walk = np.zeros(2)
         self._closure = np.zeros(2)
         self._off_step = np.zeros(2)
+        self._off_long = np.zeros(2)
 
     def add_keyframe(self, keyframe_id: int, T_odom_camera: Pose) -> None:
         """Add a keyframe by its pose (4, 4) from odometry."""
@@ -66,6 +74,9 @@ class OdometryNoise:
         if query_id == match_id + 1:
             self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
             self._n_steps += 1
+        if query_id - match_id > LONG:
+            self._off_long = self._off_long + _squares(self._neighbours[match_id][query_id])
+            self._n_long += 1
 
     def forget(self, keyframe_id: int) -> None:
         """Forget a keyframe that gets no further edges; what was learnt from it stays."""
@@ -85,7 +96,10 @@ class OdometryNoise:
         walk = np.maximum(self._walk / self._n_passed, 0.0)
         closure = self._closure / (3 * self._n_triples)
         step = np.maximum(self._off_step / self._n_steps - closure, 0.0)
-        return np.asarray(np.sqrt((walk + step) / np.maximum(closure, TINY)))
+        drift = self._off_long / max(self._n_long, 1) - LONG_FACTOR**2 * closure
+        variance = np.maximum(walk + step, drift)
+        relative = np.sqrt(variance / np.maximum(closure, TINY))
+        return np.asarray(np.maximum(relative, MIN_RELATIVE_SIGMA))
 
     def _add_triple(self, i: int, j: int, k: int) -> None:
         """Learn from three keyframes, in the order of time, with an edge between each two."""
