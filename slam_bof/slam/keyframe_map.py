@@ -157,6 +157,11 @@ class KeyframeMap:
         return self.graph.anchors
 
     @property
+    def trusts_odometry(self) -> bool:
+        """Whether the odometry of this session is known to be about as precise as alignment."""
+        return self.graph.trusts_odometry(self.session)
+
+    @property
     def loop_counts(self) -> LoopCounts:
         """Numbers of keyframes of this session by the stage that their loop search reached."""
         return self._detector.counts

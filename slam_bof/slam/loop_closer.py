@@ -340,6 +340,7 @@ class LoopCloser:
         frame, last = frame.with_sensor(self._config.sensor), record.frames[-1]
         track = Track(last.T_odom_camera, False, last.segment, float("nan"))
         self._tracker.restore(record.state["tracker"], frame, track)
+        self._tracker.trusts_odometry = self._map.trusts_odometry
         self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
         self._map.restore(record.state["detector"])
         if record.state["is_around"] is not None:
@@ -513,6 +514,8 @@ class LoopCloser:
             )
             self._unsaved.append(record)
         self._newest, self._T_map_track = keyframe, update.T_map_track
+        if keyframe.session == self._session:
+            self._tracker.trusts_odometry = update.trusts_odometry
         self._updates.append(update)
 
     def _state(self) -> dict[str, Any]:

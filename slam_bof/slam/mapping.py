@@ -37,14 +37,16 @@ class KeyframeJob:
 class MapUpdate:
     """A keyframe that is in the map, and those that the map let go of with it.
 
-    ``T_map_track`` is the correction of its track by the map. ``depth`` and ``state``, of tracking
-    and of the map, are for the journal.
+    ``T_map_track`` is the correction of its track by the map, and ``trusts_odometry`` says whether
+    the map has found odometry to be about as precise as alignment. ``depth`` and ``state``, of
+    tracking and of the map, are for the journal.
     """
 
     keyframe: Keyframe
     verified: Verified
     culled: tuple[tuple[int, int], ...]
     T_map_track: Pose
+    trusts_odometry: bool
     depth: SubsampledDepth | None
     state: dict[str, Any]
 
@@ -66,6 +68,7 @@ def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
         verified,
         culled,
         map_.T_map_track,
+        map_.trusts_odometry,
         subsample(job.frame) if job.is_saved else None,
         {**job.state, "detector": map_.state()} if job.is_saved else {},
     )

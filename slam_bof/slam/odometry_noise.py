@@ -23,7 +23,7 @@ from slam_bof.types import Array, Pose
 
 __all__ = ["OdometryNoise"]
 
-MIN_TRIPLES, MIN_STEPS = 20, 10
+MIN_TRIPLES, MIN_STEPS = 10, 10
 """With fewer of either, nothing is known yet."""
 MAX_TRIPLES = 4
 """Number of triples, the newest ones, that an edge is taken in."""
@@ -91,15 +91,24 @@ class OdometryNoise:
         -------
         (2,), of rotation and of translation; or None as long as too few edges are known.
         """
+        step = self.step_sigmas()
+        if step is None:
+            return None
+        drift = self._off_long / max(self._n_long, 1) / self._edge() - LONG_FACTOR**2
+        relative = np.sqrt(np.maximum(np.square(step), drift))
+        return np.asarray(np.maximum(relative, MIN_RELATIVE_SIGMA))
+
+    def step_sigmas(self) -> Array | None:
+        """Return the same (2,) of odometry without slow drift, or None."""
         if self._n_triples < MIN_TRIPLES or self._n_steps < MIN_STEPS:
             return None
         walk = np.maximum(self._walk / self._n_passed, 0.0)
-        closure = self._closure / (3 * self._n_triples)
-        step = np.maximum(self._off_step / self._n_steps - closure, 0.0)
-        drift = self._off_long / max(self._n_long, 1) - LONG_FACTOR**2 * closure
-        variance = np.maximum(walk + step, drift)
-        relative = np.sqrt(variance / np.maximum(closure, TINY))
-        return np.asarray(np.maximum(relative, MIN_RELATIVE_SIGMA))
+        step = np.maximum(self._off_step / self._n_steps - self._edge(), 0.0)
+        return np.asarray(np.sqrt((walk + step) / self._edge()))
+
+    def _edge(self) -> Array:
+        """Return the variance (2,) of an edge."""
+        return np.maximum(self._closure / (3 * self._n_triples), TINY)
 
     def _add_triple(self, i: int, j: int, k: int) -> None:
         """Learn from three keyframes, in the order of time, with an edge between each two."""

@@ -19,6 +19,8 @@ __all__ = ["MapGraph"]
 
 MAX_RELATIVE_SIGMA = 0.7
 """Odometry replaces tracking if its standard deviation is at most this share of that of an edge."""
+MAX_STEP_SIGMA = 2.0
+"""Odometry is trusted against single views if its steps have at most this multiple of it."""
 
 
 class MapGraph:
@@ -139,6 +141,15 @@ class MapGraph:
     def anchors(self) -> NDArray[np.int64]:
         """The id (K,) of each keyframe, or that of its anchor if it was culled."""
         return self._anchors.rows
+
+    def trusts_odometry(self, session: int) -> bool:
+        """Return whether steps of a session's odometry are known to be about as precise as edges.
+
+        Slow drift does not count: odometry is still better than a view that disagrees.
+        """
+        noise = self._noise.get(session)
+        sigmas = None if noise is None else noise.step_sigmas()
+        return sigmas is not None and bool(sigmas.max() <= MAX_STEP_SIGMA)
 
     def checkpoint(self) -> Callable[[], None]:
         """Return a function that restores the present graph; see ``core.Checkpoint``."""

@@ -46,8 +46,9 @@ REFERENCE_RATIO_RANGE = 0.5, 0.85
 """The first frame after the first keyframe sets the usual inlier ratio, within these limits."""
 FORGETTING = 0.1
 """Weight of each later frame in the usual inlier ratio, score and free-space violation."""
-MAX_LEAP_M, MAX_LEAP_RAD = 0.7, 0.7
-"""Odometry that moves farther than this out of what both views see is not believed."""
+MAX_LEAP, LEAP = np.array([0.7, 0.7]), 5.0
+"""Odometry that moves farther than this, in rad and m, and farther than usual by this factor, is
+not believed where no view confirms it."""
 OPEN_VARIANCE = 1e4
 """Variance of alignment along open directions."""
 NO_AXES: Array = np.empty((6, 0))
@@ -177,7 +178,13 @@ class Tracker:
         self, params: TrackingParams | None = None, *, seed: int = 0, segment: int = 0
     ) -> None:
         self.params = params or TrackingParams()
+        self.trusts_odometry = False
+        """Whether odometry is known to be about as precise as alignment, so that it is believed
+        where a frame cannot be aligned with the keyframe or has only the one before it to go by."""
         self.n_lost = 0
+        self._usual_step = np.zeros(2)  # rad and m, a running mean
+        self._is_kept = False
+        self._n_kept = 0  # of the last frames in a row
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._segment = segment
         self._is_lost = False
@@ -199,7 +206,10 @@ class Tracker:
         ``covariance`` (6, 6) is that of the odometry's step since the frame before, rotation first,
         in rad^2 and m^2 along the axes of the camera.
         """
+        step = _moved(se3.inverse(self._T_odometry) @ T_odom_camera)
+        self._usual_step = self._usual_step + FORGETTING * (step - self._usual_step)
         self._T_odometry = T_odom_camera
+        self._n_kept, self._is_kept = self._n_kept if self._is_kept else 0, False
         self._add_covariance(covariance)
         if not self.params.enabled:
             return Track(
@@ -212,6 +222,8 @@ class Tracker:
         before, self._view = self._view, self._look(frame)
         T_guess = self._fusion.predict(T_odom_camera)
         found = self._find(before, T_guess)
+        if self._view is not None and self._prefers_odometry(found, T_guess):
+            found = _Found(None, found.inlier_ratio if found else float("nan"), True)
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
@@ -236,6 +248,7 @@ class Tracker:
 
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
+        self._is_kept, self._n_kept = True, self._n_kept + 1
         self._T_odometry_keyframe = self._T_odometry
         self._covariance = None if self._covariance is None else np.zeros((6, 6))
         if self._view is not None:
@@ -255,6 +268,8 @@ class Tracker:
             "usual_violation": self._reference_violation,
             "T_before": self._T_before.tolist(),
             "T_odometry": self._T_odometry.tolist(),
+            "usual_step": self._usual_step.tolist(),
+            "n_kept": self._n_kept,
             "fusion": self._fusion.state(),
         }
 
@@ -274,6 +289,8 @@ class Tracker:
             self._T_before = np.array(state.get("T_before", track.T_odom_camera))
             self._T_odometry = np.array(state.get("T_odometry", track.T_odom_camera))
             self.keep()
+            self._n_kept = state.get("n_kept", 1)
+            self._usual_step = np.array(state.get("usual_step", [0.0, 0.0]))
             self._fusion.restore(state["fusion"])
 
     def _look(self, frame: DepthFrame) -> DepthView | None:
@@ -320,6 +337,18 @@ class Tracker:
             return _Found(None, float("nan"), True)
         return None
 
+    def _prefers_odometry(self, found: _Found | None, T_guess: Pose) -> bool:
+        """Return whether trusted odometry is preferred to what the frame shows.
+
+        Where each frame becomes a keyframe, the errors of alignment would all add up.
+        """
+        is_followed = found is not None and found.is_followed
+        return (
+            self.trusts_odometry
+            and (not is_followed or self._n_kept > 1)
+            and not self._leaps(T_guess)
+        )
+
     def _is_usual(self, registration: _Registration) -> bool:
         p = self.params
         return (
@@ -347,9 +376,12 @@ class Tracker:
             return True
         if any(registration.visible_ratio >= p.min_visible_ratio for registration in at_guess):
             return False
-        step = se3.inverse(self._T_last) @ T_guess
-        moved_m, turned_rad = np.linalg.norm(step[:3, 3]), se3.rotation_angle(step)
-        return bool(moved_m > MAX_LEAP_M or turned_rad > MAX_LEAP_RAD)
+        return self._leaps(T_guess)
+
+    def _leaps(self, T_guess: Pose) -> bool:
+        """Return whether the step of odometry is too large, as steps go, to be believed unseen."""
+        step = _moved(se3.inverse(self._T_last) @ T_guess)
+        return bool((step > np.maximum(MAX_LEAP, LEAP * self._usual_step)).any())
 
     def _add_covariance(self, covariance: Array | None) -> None:
         """Add up the covariance of the odometry's steps since the last keyframe."""
@@ -386,8 +418,11 @@ class Tracker:
         T_improved = self._improve(view_id, T_odom_view, T)
         if T_improved is not T:
             registration, T = self._evaluate(view_id, T_odom_view, T_improved), T_improved
-        directions, open_axes = open_directions(self._aligner, FRAME, view_id, T) or (None, NO_AXES)
-        if directions is None or open_axes.shape[1] == 0:
+        found = open_directions(self._aligner, FRAME, view_id, T)
+        if found is None:  # too few surfaces to hold anything
+            return self._evaluate(view_id, T_odom_view, T_view_guess)._replace(open_axes=np.eye(6))
+        directions, open_axes = found
+        if open_axes.shape[1] == 0:
             return registration
         T = directions.keep(open_axes, T, T_view_guess)
         tangents: Array = np.asarray(np.linalg.solve(directions.of_tangent(), open_axes))
@@ -431,3 +466,8 @@ class Tracker:
             visible_ratio,
             float(found.free_space_violation[0]),
         )
+
+
+def _moved(step: Pose) -> Array:
+    """Return by how much a step (4, 4) turns and moves, (2,) in rad and m."""
+    return np.array([se3.rotation_angle(step), np.linalg.norm(step[:3, 3])])

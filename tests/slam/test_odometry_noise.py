@@ -116,8 +116,8 @@ def test_of_few_edges_nothing_is_known():
     assert relative_sigmas(truth, edges_of(rng, truth)[:12]) is None
 
 
-def optimized(truth, odometry, edges):
-    """Return the map (N, 4, 4) where tracking is as wrong as the edges from one to the next."""
+def graph_of(truth, odometry, edges):
+    """Return the graph where tracking is as wrong as the edges from one to the next."""
     graph = MapGraph(registry.build("backends", "gtsam"))
     steps = {k: T for i, k, T in edges if i == k - 1}
     T_track = truth[0]
@@ -129,8 +129,24 @@ def optimized(truth, odometry, edges):
             for i, query, T in edges
             if query == k
         )
+    return graph
+
+
+def optimized(truth, odometry, edges):
+    graph = graph_of(truth, odometry, edges)
     graph.optimize()
     return graph.poses()
+
+
+def test_odometry_is_trusted_if_it_drifts_slowly_but_not_if_its_steps_are_noisy():
+    rng = np.random.default_rng(8)
+    truth = motion(rng)
+    edges = edges_of(rng, truth)
+    drift = se3.exp(np.outer(np.arange(N), [0.0, 1e-3, 0.0, 2e-3, 0.0, 0.0]))
+    assert graph_of(truth, truth @ drift, edges).trusts_odometry(0)
+    assert not graph_of(truth, odometry_of(rng, truth, (0.02, 0.04)), edges).trusts_odometry(0)
+    assert not graph_of(truth, truth, edges[:12]).trusts_odometry(0)
+    assert not graph_of(truth, truth, edges).trusts_odometry(1)
 
 
 def worst_m(poses, truth):

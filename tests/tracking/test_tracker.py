@@ -1,6 +1,7 @@
 """Slips are mended, losses are noticed, and what was lost is found or begun anew."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -83,6 +84,43 @@ def test_elsewhere_the_track_begins_anew(turn, look, standpoint):
     assert [track.segment for track in tracks] == [0] * (N_FRAMES + 1) + [1] * 3
     assert [track.is_lost for track in tracks] == [False] * N_FRAMES + [True] + [False] * 3
     assert tracker.n_lost == 1
+
+
+def trusting(frames, odometry, *, every=4):
+    """Track frames as ``follow`` does, with odometry that is known to be precise."""
+    tracker = Tracker()
+    tracker.trusts_odometry = True
+    tracks = []
+    for i, (frame, T) in enumerate(zip(frames, odometry, strict=True)):
+        tracks.append(tracker.track(frame, T))
+        if not tracks[-1].is_lost and i % every == 0:
+            tracker.keep()
+    return tracks
+
+
+def test_trusted_odometry_is_believed_where_frames_contradict_it(turn, look, standpoint):
+    frames, truth = turn
+    elsewhere = look(turned(standpoint, 5.2), 20)
+    shown = [*frames[:6], elsewhere, *frames[7:]]
+    _, tracks = follow(shown, truth)
+    assert tracks[6].is_lost
+    tracks = trusting(shown, truth)
+    assert not any(track.is_lost for track in tracks)
+    assert max(off(tracks, truth)[0]) < 0.02
+
+
+def test_trusted_odometry_that_leaps_is_not_believed(turn, look, standpoint):
+    frames, truth = turn
+    leap = se3.pose(np.eye(3), np.array([5.0, 0.0, 0.0]))
+    tracks = trusting([*frames, look(turned(standpoint, 5.2), 20)], [*truth, truth[-1] @ leap])
+    assert tracks[-1].is_lost
+
+
+def test_where_each_frame_becomes_a_keyframe_trusted_odometry_keeps_its_steps(turn):
+    frames, truth = turn
+    tracks = trusting([noisy(frame, 0.07) for frame in frames], truth, every=1)
+    steps = [se3.inverse(a.T_odom_camera) @ b.T_odom_camera for a, b in pairwise(tracks[2:])]
+    np.testing.assert_allclose(steps, se3.inverse(truth[2:-1]) @ truth[3:], atol=1e-9)
 
 
 def noisy(frame, sigma):
@@ -184,6 +222,17 @@ def test_exact_odometry_past_a_wall_stays_exact():
     tracks, poses = walk("wall")
     assert all(track.open_axes.shape[1] == 3 for track in tracks[1:])
     assert errors_m(tracks, poses).max() < 0.02
+
+
+def test_where_too_few_pixels_have_neighbours_exact_odometry_stays_exact():
+    case = DegenerateCase("glass", "wheeled", "kinect", 5.0)
+    tracker = Tracker()
+    truth = se3.inverse(case.poses()[0]) @ case.poses()
+    for frame, T in zip(render_case(case), truth, strict=True):
+        track = tracker.track(frame, T)
+        tracker.keep()
+    np.testing.assert_allclose(track.T_odom_camera, truth[-1], atol=0.02)
+    assert track.open_axes.shape[1] == 6
 
 
 def test_odometry_of_known_covariance_is_corrected_no_further_than_it_may_be_wrong():
