@@ -62,10 +62,11 @@ class BagFile:
             self._reader.open()
         # Data sets are never closed explicitly: the file is closed with the last reference.
         weakref.finalize(self, self._reader.close)
-        self.topics = [
-            Topic(name, info.msgtype or "", info.msgcount)
-            for name, info in sorted(self._reader.topics.items())
-        ]
+        with self._naming():
+            self.topics = [
+                Topic(name, info.msgtype or "", info.msgcount)
+                for name, info in sorted(self._reader.topics.items())
+            ]
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield the time in ns and the message, one by one, of a topic."""

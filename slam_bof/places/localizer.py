@@ -180,9 +180,8 @@ class Localizer:
         ValueError
             If the frame is of another camera, or a pose is not a rigid transform.
         """
-        T_odom_camera = T_map_camera if T_odom_camera is None else T_odom_camera
-        for T in (T_map_camera, T_odom_camera):
-            se3.check_rigid(T)
+        T_odom_camera = se3.checked_pose(T_map_camera if T_odom_camera is None else T_odom_camera)
+        T_map_camera = se3.checked_pose(T_map_camera)
         frame = frame.with_sensor(self._sensor)
         keyframe_id = self._recogniser.add(frame, T_odom_camera)
         self._registration.add(frame)

@@ -126,7 +126,7 @@ class PlaceRecogniser:
         ValueError
             If the pose is no finite rigid transform, or the frame is of another camera.
         """
-        se3.check_rigid(np.asarray(T_odom_camera))
+        T_odom_camera = se3.checked_pose(T_odom_camera)
         gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
         return self._add(frame, T_odom_camera, gravity_camera)
 

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from slam_bof import LoopCloser
 from slam_bof.cli import app
 from slam_bof.core import registry
-from slam_bof.errors import DatasetError, MapError
+from slam_bof.errors import DatasetError, MapError, RunError
 from slam_bof.evaluation.trajectory_metrics import ate
 from slam_bof.geometry import se3
 from slam_bof.maps import MapLocalizer, merge_maps
@@ -100,6 +100,27 @@ def test_a_run_s_folder_is_of_its_own_session(joined):
         assert len(found.loops) == run.metrics["n_loops"] + run.metrics["n_covisibility_edges"]
         assert len(found.optimized) == 40
         assert json.loads((run.folder / "metrics.json").read_text()) == run.metrics
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("metrics.json", "[" * 100_000, "expected the metrics of a run"),
+        ("metrics.json", "[]", "expected the metrics of a run"),
+        ("health.csv", "health,n_open\ntracked,1e38\n", "expected columns health, n_open"),
+        ("health.csv", "health\ntracked\n", "expected columns health, n_open"),
+        ("health.csv", "health,n_open\n" + "x" * 200_000, "expected columns health, n_open"),
+        ("config.yaml", b"\xff\xfe\x00", "expected text"),
+        ("trajectory_odometry_tum.txt", "0 0 0 0 0 0 0 1\n", "expected the same frames"),
+    ],
+)
+def test_a_run_s_folder_with_a_damaged_file_is_refused(apart, tmp_path, name, text, message):
+    folder = tmp_path / "run"
+    shutil.copytree(apart[0].parent, folder)
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(RunError, match=message) as caught:
+        read_run(folder)
+    assert len(str(caught.value)) < 500
 
 
 def test_maps_are_merged_by_what_is_recognised(apart, sequences, tmp_path):
