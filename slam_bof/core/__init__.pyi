@@ -25,7 +25,9 @@ from .registry import (
 from .timing import (
     StageClock as StageClock,
     Usage as Usage,
+    machine_memory_mb as machine_memory_mb,
     peak_rss_mb as peak_rss_mb,
+    rss_mb as rss_mb,
 )
 from .validation import (
     describe_error as describe_error,
