@@ -99,11 +99,12 @@ class Intrinsics:
     def __post_init__(self) -> None:
         """Convert all numbers to plain ones, and check that they are plausible."""
         for name in self.__slots__:
-            value = getattr(self, name)
+            is_size, value = name in ("width", "height"), getattr(self, name)
             try:
-                plain = operator.index(value) if name in ("width", "height") else float(value)
+                plain = operator.index(value) if is_size else float(value)
+                float(plain)  # which no width or height of hundreds of digits is
             except (TypeError, ValueError, OverflowError):
-                expected = "a whole number" if name in ("width", "height") else "a number"
+                expected = "a whole number of pixels" if is_size else "a number"
                 raise ValueError(f"found {name} = {value!r:.40}, expected {expected}") from None
             object.__setattr__(self, name, plain)
         if min(self.width, self.height) < 1:

@@ -227,8 +227,9 @@ def test_a_pose_that_is_far_away_is_unknown(tmp_path: Path, form: str) -> None:
     far[0, 3] = 1e12
     with writing(tmp_path, form) as (bag, path):
         bag.camera(INFO)
-        for number in range(4):
-            bag.image(TOPIC, time_ns(number), ramp(number), "16UC1")
+        for number in range(5):
+            if number < 4:
+                bag.image(TOPIC, time_ns(number), ramp(number), "16UC1")
             bag.odometry("/odom", time_ns(number), far if number == 1 else pose(number), FRAME)
     truth = registry.open_dataset(path, "bag", {"groundtruth": "/odom"}).groundtruth()
     assert truth is not None

@@ -18,7 +18,7 @@ SHELL = [path for path in FILES if path not in PYTHON]
 
 
 def test_there_are_scripts_of_both_kinds():
-    assert {path.name for path in SHELL} == {"demo", "test"}
+    assert {path.name for path in SHELL} == {"demo", "test", "try_wheel"}
     assert {"benchmarks", "measure_turns", "make_tours"} <= {path.name for path in PYTHON}
 
 
