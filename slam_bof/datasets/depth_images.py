@@ -84,14 +84,14 @@ def read_depth_image(
     if camera_file is None and beside.is_file():
         camera_file = beside
     offset = 0.0
+    if camera_file is not None:
+        camera, scale, offset = _read_camera(camera_file, width, height)
+        depth_scale, source = depth_scale or scale, f"from {camera_file}"
     if intrinsics is not None:
         fx, fy, cx, cy = intrinsics
         camera = checked_intrinsics(f"--intrinsics for {path}", width, height, fx, fy, cx, cy)
         source = "as given"
-    elif camera_file is not None:
-        camera, scale, offset = _read_camera(camera_file, width, height)
-        depth_scale, source = depth_scale or scale, f"from {camera_file}"
-    else:
+    elif camera_file is None:
         focal_px = KINECT_FOCAL_PX * width / 640.0
         camera = Intrinsics(width, height, focal_px, focal_px, width / 2, height / 2)
         source = f"assumed, a Kinect's; found no {CAMERA_FILE} beside the image"

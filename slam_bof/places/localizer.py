@@ -160,7 +160,14 @@ class Localizer:
         """Return the number of keyframes."""
         return len(self._T_map_camera)
 
-    def add(self, frame: DepthFrame, T_map_camera: Pose, T_odom_camera: Pose | None = None) -> int:
+    def add(
+        self,
+        frame: DepthFrame,
+        T_map_camera: Pose,
+        T_odom_camera: Pose | None = None,
+        *,
+        name: int | None = None,
+    ) -> int:
         """Add the next keyframe, and return its id: 0, 1, 2 ...
 
         Of an image 640 pixels wide only every fourth pixel is used; the others may be missing.
@@ -174,6 +181,8 @@ class Localizer:
         T_odom_camera
             (4, 4) pose of the keyframe by odometry, which is used to track the direction of
             gravity. The default is ``T_map_camera``.
+        name
+            The id that answers give for the keyframe, by default the one that is returned.
 
         Raises
         ------
@@ -184,7 +193,7 @@ class Localizer:
         T_map_camera = se3.checked_pose(T_map_camera)
         frame = frame.with_sensor(self._sensor)
         keyframe_id = self._recogniser.add(frame, T_odom_camera)
-        self._registration.add(frame)
+        self._registration.add(frame, keyframe_id if name is None else name)
         self._T_map_camera.append(T_map_camera)
         return keyframe_id
 
@@ -227,7 +236,7 @@ class Localizer:
 
     def _select_pose(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:
         """Verify recognised matches, and return the only pose consistent with the map, if any."""
-        p = self.params
+        p, names = self.params, self._registration.names
         ids = [match.view_id for match in matches]
         guesses = np.array([match.T_match_query for match in matches])
         hypotheses, rejection = self._registration.register(query.prepared, ids, guesses)
@@ -244,7 +253,7 @@ class Localizer:
         if not consistent:
             return Localization(reason=reason)
         if len(consistent) > 1:
-            a, b = (place[0].keyframe_id for place in consistent[:2])
+            a, b = (names[place[0].keyframe_id] for place in consistent[:2])
             return Localization(
                 reason=f"{len(consistent)} places match the image, such as keyframes {a} and {b}"
             )
@@ -255,10 +264,10 @@ class Localizer:
             return Localization(reason=ambiguity)
         return Localization(
             self._refine(query, best),
-            best.keyframe_id,
+            names[best.keyframe_id],
             best.verified.overlap,
             best.verified.rmse_m,
-            tuple(sorted(h.keyframe_id for h in place if h is not best)),
+            tuple(sorted(names[h.keyframe_id] for h in place if h is not best)),
         )
 
     def _consistent_places(
@@ -272,7 +281,8 @@ class Localizer:
             T = place[0].T_map_view
             reason = self._consistency.reason_against(query.view, T)
             if reason and not first_reason:
-                first_reason = f"keyframe {place[0].keyframe_id} matches, but {reason}"
+                name = self._registration.names[place[0].keyframe_id]
+                first_reason = f"keyframe {name} matches, but {reason}"
             if reason or any(
                 are_near(T, other[0].T_map_view, p.apart_m, p.apart_rad) for other in consistent
             ):

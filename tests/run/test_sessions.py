@@ -218,6 +218,10 @@ def test_localize_by_the_command_line(joined, sequences, tmp_path):
     rows = json.loads(CliRunner().invoke(app, ["localize", *write, "--json"]).stdout)
     assert [row["frame_index"] for row in rows] == [0, 1]
     assert all(row["is_known"] == (row["T_map_camera"] is not None) for row in rows)
+    assert all(row["component"] == (0 if row["is_known"] else None) for row in rows)
+    refused = CliRunner().invoke(app, ["localize", *write, "--component", "3"])
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "found no component 3, expected one of: 0" in refused.stderr
     image = str(folder / "frame-000001.depth.png")
     one = json.loads(CliRunner().invoke(app, ["localize", str(map_file), image, "--json"]).stdout)
     assert one["T_map_camera"] == rows[1]["T_map_camera"]
