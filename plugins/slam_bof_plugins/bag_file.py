@@ -137,7 +137,7 @@ class BagFile:
             raise
         # Damaged bytes make the library and the decoders below it raise nearly anything.
         except Exception as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise DatasetError(
                 f"{self.path}: found a bag that cannot be read ({reason}), expected a whole one; "
                 "rosbag reindex, ros2 bag reindex or mcap recover may repair it"

@@ -94,4 +94,4 @@ def read_archive(place: Path, case: Path) -> None:
         expect(not outside, f"{outside} outside")
 
 
-READERS = {"archive": Reader(12, nothing, mutate_archive, read_archive)}
+READERS = {"archive": Reader(14, nothing, mutate_archive, read_archive)}

@@ -117,4 +117,4 @@ def read_frames(bag: Path, options: dict[str, Any]) -> None:
             expect_frame(frame)
 
 
-READERS = {"bag": Reader(3, prepare_bags, mutate_bag, read_bag)}
+READERS = {"bag": Reader(1.5, prepare_bags, mutate_bag, read_bag)}

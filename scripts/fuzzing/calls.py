@@ -209,7 +209,7 @@ def read_recogniser(place: Path, case: Path) -> None:
 
 
 READERS = {
-    "value": Reader(7, nothing, mutate_call, read_value),
-    "closer": Reader(0.7, nothing, mutate_call, read_closer),
-    "recogniser": Reader(0.4, nothing, mutate_call, read_recogniser),
+    "value": Reader(10, nothing, mutate_call, read_value),
+    "closer": Reader(0.4, nothing, mutate_call, read_closer),
+    "recogniser": Reader(0.2, nothing, mutate_call, read_recogniser),
 }

@@ -43,4 +43,4 @@ def read_config(place: Path, case: Path) -> None:
     expect_numbers(config.model_dump(), "config")
 
 
-READERS = {"config": Reader(5, prepare_config, mutate_config, read_config)}
+READERS = {"config": Reader(6, prepare_config, mutate_config, read_config)}

@@ -86,6 +86,6 @@ def read_split(place: Path, case: Path) -> None:
 
 
 READERS = {
-    "image": Reader(10, prepare_images, mutate_image, read_image),
-    "split": Reader(0.2, prepare_split, mutate_split, read_split),
+    "image": Reader(14, prepare_images, mutate_image, read_image),
+    "split": Reader(0.1, prepare_split, mutate_split, read_split),
 }

@@ -7,7 +7,7 @@ import json
 import random
 import shutil
 import sqlite3
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
 
@@ -108,8 +108,9 @@ def forged(old: Any, rng: random.Random) -> Any:
     """Return another value for one in a map."""
     if isinstance(old, bytes) and rng.random() < 0.8:
         return mutate_bytes(old, rng)
-    if isinstance(old, str) and old[:1] in "{[" and rng.random() < 0.8:
-        return json.dumps(mutate_json(json.loads(old), rng))
+    if isinstance(old, str) and old[:1] in ("{", "[") and rng.random() < 0.8:
+        with suppress(ValueError):  # it was changed before
+            return json.dumps(mutate_json(json.loads(old), rng))
     if isinstance(old, str) and rng.random() < 0.6:
         return mutate_text(old, rng).encode(errors="replace").decode()
     if isinstance(old, float) and rng.random() < 0.5:
@@ -145,6 +146,6 @@ def continue_map(path: Path, copy: Path) -> None:
 
 
 READERS = {
-    "map": Reader(10, prepare_map, damage_map, read_damaged_map),
-    "map-signed": Reader(2, prepare_map, forge_map, read_forged_map),
+    "map": Reader(6, prepare_map, damage_map, read_damaged_map),
+    "map-signed": Reader(0.8, prepare_map, forge_map, read_forged_map),
 }

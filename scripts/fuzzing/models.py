@@ -99,5 +99,5 @@ def read_model(place: Path, case: Path) -> None:
 
 READERS = {
     "model": Reader(8, prepare_models, damage_model, read_model),
-    "model-inner": Reader(10, prepare_models, forge_model, read_model),
+    "model-inner": Reader(6, prepare_models, forge_model, read_model),
 }

@@ -61,4 +61,4 @@ def read_run_folder(place: Path, case: Path) -> None:
     expect(report.stat().st_size < 20_000_000, "a report of 20 MB")
 
 
-READERS = {"run": Reader(0.4, prepare_run, mutate_run, read_run_folder)}
+READERS = {"run": Reader(0.2, prepare_run, mutate_run, read_run_folder)}

@@ -71,4 +71,4 @@ def serve(server: socket.socket, data: bytes) -> None:
                 return
 
 
-READERS = {"server": Reader(6, nothing, mutate_answer, read_answer)}
+READERS = {"server": Reader(4, nothing, mutate_answer, read_answer)}

@@ -93,6 +93,6 @@ def read_trajectory(place: Path, case: Path) -> None:
 
 
 READERS = {
-    "table": Reader(6, prepare_tables, mutate_table, read_table),
-    "trajectory": Reader(6, prepare_trajectories, mutate_trajectory, read_trajectory),
+    "table": Reader(8, prepare_tables, mutate_table, read_table),
+    "trajectory": Reader(9, prepare_trajectories, mutate_trajectory, read_trajectory),
 }
