@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import decode_image
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose, Trajectory
@@ -116,7 +117,7 @@ class SevenScenes:
         for suffix in COLOR_SUFFIXES:
             file = self._file(index, suffix)
             if file.is_file():
-                image = cv2.imread(str(file), flags)
+                image = decode_image(file.read_bytes(), flags)
                 if image is None:
                     logger.warning("%s: colour image cannot be read", file)
                     return None
