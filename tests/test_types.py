@@ -126,8 +126,8 @@ def test_intrinsics_that_are_no_numbers_are_named(value: Any) -> None:
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_depth_beyond_a_kilometre_is_missing(kind: type) -> None:
-    numbers = [1.0, 1001.0, 1e38, 1e300 if kind is np.float64 else 1e38, np.inf, np.nan, -1.0, 0.0]
+def test_depth_beyond_any_unit_is_missing(kind: type) -> None:
+    numbers = [1.0, 2e12, 1e38, 1e300 if kind is np.float64 else 1e38, np.inf, np.nan, -1.0, 0.0]
     frame = DepthFrame(0.0, np.array([numbers], kind), Intrinsics(8, 1, 8.0, 1.0, 3.5, 0.0))
     assert frame.depth_m().tolist() == [[1.0, *[0.0] * 7]]
 

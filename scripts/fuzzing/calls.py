@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from fuzzing.cases import Reader, expect, expect_frame, expect_numbers, nothing, turn
+from fuzzing.cases import Reader, expect, expect_numbers, nothing, turn
 from fuzzing.maps import CONFIG
 from slam_bof import LoopCloser, PlaceRecogniser
 from slam_bof.core import registry
@@ -103,7 +103,7 @@ def read_value(place: Path, case: Path) -> None:
     kind = rng.randrange(4)
     if kind < 2:
         frame = attempt(lambda: strange_frame(frames[0], rng))
-        expect_frame(dataclasses.replace(frame, stamp_s=0.0))  # a loop closer refuses bad stamps
+        expect(bool(frame.depth_m().max() <= 1e12), "depth")
         expect_numbers(frame.intrinsics, "intrinsics")
     elif kind == 2:
         stamps_s = strange_array(np.arange(4.0)[:, None], rng) if rng.random() < 0.5 else range(4)

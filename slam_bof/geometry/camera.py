@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from slam_bof.errors import DatasetError
-from slam_bof.types import MAX_DEPTH_M, Array, DepthFrame, Intrinsics, Params
+from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
 __all__ = [
     "PointParams",
@@ -22,6 +22,9 @@ __all__ = [
     "project",
     "ray_slopes",
 ]
+
+MAX_DEPTH_M = 1000.0
+"""Depth beyond this is a value that means something else; the range of a sensor ends far before."""
 
 
 class PointParams(Params):

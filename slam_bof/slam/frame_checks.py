@@ -69,8 +69,8 @@ def rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
     except ValueError as error:
         raise FrameError(f"{place}: {error}") from None
     if found.size != 36 or found.dtype.kind not in "fiu":
-        kind = f"an array {found.shape} of {found.dtype}"
-        raise FrameError(f"{place}: found {kind}, expected numbers (6, 6)")
+        kind = f"an array {found.shape}" if found.dtype.kind in "fiu" else f"{found.dtype}"
+        raise FrameError(f"{place}: found {kind}, expected (6, 6) numbers")
     found = found.reshape(6, 6).astype(np.float64)
     if not np.isfinite(found).all() or np.abs(found - found.T).max() > 1e-6 * np.abs(found).max():
         raise FrameError(f"{place}: expected 36 finite numbers, symmetric")

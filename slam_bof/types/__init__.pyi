@@ -1,6 +1,5 @@
 from .depth import (
     INVALID_DEPTH_MM as INVALID_DEPTH_MM,
-    MAX_DEPTH_M as MAX_DEPTH_M,
     MAX_PIXELS as MAX_PIXELS,
     DepthFrame as DepthFrame,
     Intrinsics as Intrinsics,

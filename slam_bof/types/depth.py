@@ -16,7 +16,6 @@ from slam_bof.types.parameters import Params
 
 __all__ = [
     "INVALID_DEPTH_MM",
-    "MAX_DEPTH_M",
     "MAX_PIXELS",
     "DepthFrame",
     "Intrinsics",
@@ -33,8 +32,8 @@ MAX_FOCAL = 100.0
 """Largest plausible focal length, likewise: a field of view of 0.6 degrees."""
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
-MAX_DEPTH_M = 1000.0
-"""Depth beyond this is a value that means something else; the range of a sensor ends far before."""
+MAX_DEPTH_M = 1e12
+"""Metres beyond this are none, in no unit that was taken for metres."""
 MAX_PIXELS = 1 << 24
 """Largest plausible number of pixels of a depth image; depth cameras have up to some 5 million."""
 SAME_CAMERA = 0.005
@@ -156,7 +155,7 @@ class DepthFrame:
         Time in seconds, on any clock that increases.
     depth
         (H, W) depth, either uint16 in millimetres (0 and 65535 mean missing) or float in metres
-        (0, negative and non-finite values, and those beyond 1 km, mean missing).
+        (0, negative and non-finite values, and those beyond 1e12, mean missing).
     intrinsics
         Intrinsics of the depth camera for this image size.
     sensor

@@ -209,10 +209,10 @@ def test_a_pose_that_is_none_is_refused_and_the_frame_ignored(walk, T, message):
 @pytest.mark.parametrize(
     ("covariance", "message"),
     [
-        (np.eye(5), "expected numbers"),
-        ("here", "expected numbers"),
+        (np.eye(5), "expected .6, 6. numbers"),
+        ("here", "expected .6, 6. numbers"),
         ([[1.0], [1.0, 2.0]], "inhomogeneous"),
-        (1j * np.eye(6), "expected numbers"),
+        (1j * np.eye(6), "expected .6, 6. numbers"),
         (np.nan * np.eye(6), "expected 36 finite numbers"),
     ],
 )
