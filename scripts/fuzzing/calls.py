@@ -199,6 +199,8 @@ def read_recogniser(place: Path, case: Path) -> None:
                 strange_array(T, rng) if kind == 3 else T,
             )
     query = recogniser.add(*good(4))
+    with refusals():
+        recogniser.recognise(rng.randrange(-3, 9), rng.randrange(-3, 9))
     for match in recogniser.recognise(query, query):
         expect_numbers(match, "match")
     with refusals():

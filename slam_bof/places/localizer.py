@@ -8,6 +8,7 @@ places are consistent with the image, no pose is returned, since rooms can be id
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -137,6 +138,7 @@ class Localizer:
     ) -> None:
         self.params = params or LocalizationParams()
         self._sensor = sensor or SensorParams()
+        self._lock = threading.Lock()
         self._recogniser = PlaceRecogniser(
             recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
         )
@@ -192,16 +194,17 @@ class Localizer:
         T_odom_camera = se3.checked_pose(T_map_camera if T_odom_camera is None else T_odom_camera)
         T_map_camera = se3.checked_pose(T_map_camera)
         frame = frame.with_sensor(self._sensor)
-        keyframe_id = self._recogniser.add(frame, T_odom_camera)
-        self._registration.add(frame, keyframe_id if name is None else name)
-        self._T_map_camera.append(T_map_camera)
+        with self._lock:
+            keyframe_id = self._recogniser.add(frame, T_odom_camera)
+            self._registration.add(frame, keyframe_id if name is None else name)
+            self._T_map_camera.append(T_map_camera)
         return keyframe_id
 
     @one_blas_thread()
     def localize(
         self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
     ) -> Localization:
-        """Localise a single frame. The frame is not stored.
+        """Localise a single frame. The frame is not stored. Calls of threads wait for each other.
 
         Parameters
         ----------
@@ -217,9 +220,13 @@ class Localizer:
         ValueError
             If the frame is of another camera.
         """
+        with self._lock:  # the query is among the views for that time
+            return self._localize(frame.with_sensor(self._sensor), gravity_camera)
+
+    def _localize(self, frame: DepthFrame, gravity_camera: ArrayLike | None) -> Localization:
+        """Localise a frame."""
         if len(self) == 0:
             return Localization(reason="the map has no keyframes")
-        frame = frame.with_sensor(self._sensor)
         n_points = len(view_points(frame))
         if n_points < self.params.min_points:
             return Localization(

@@ -1,3 +1,5 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -190,3 +192,20 @@ def test_a_pose_that_is_none_is_refused_and_nothing_added(turn, T):
     with pytest.raises(ValueError, match="found "):
         localizer.add(turn[0][0], T, np.eye(4))
     assert localizer.add(turn[0][0], np.eye(4)) == 0
+
+
+def test_threads_that_ask_at_once_get_the_answers_of_one(turn, aside):
+    localizer = hold(turn[0], turn[2])
+    frames = [*aside[0], *turn[0][:3]]
+    expected = [localizer.localize(frame) for frame in frames]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(localizer.localize, [*frames, *frames]))
+    for a, b in zip([*expected, *expected], found, strict=True):
+        assert (a.keyframe_id, a.reason, a.supporting_ids) == (
+            b.keyframe_id,
+            b.reason,
+            b.supporting_ids,
+        )
+        if a.is_known:
+            np.testing.assert_array_equal(a.T_map_camera, b.T_map_camera)
+    assert len(localizer) == N_ROUND
