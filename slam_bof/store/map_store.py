@@ -33,6 +33,8 @@ from slam_bof.store.row_codec import (
     decode_loop,
     decode_pose,
     decode_region,
+    decode_scene,
+    decode_smoothed_scene,
     decode_view,
     encode_candidate,
     encode_edge,
@@ -266,14 +268,20 @@ class MapStore(MapDatabase):
 
     def decode(self, row: Any) -> Keyframe:
         """Return the keyframe in a row of ``keyframes``."""
-        keyframe = decode_keyframe(row, self.classes())
-        for scene in (keyframe.scene, keyframe.smoothed):
-            if scene is not None and len(scene.probabilities) != len(scene.classes):
+        self.scene(row)
+        return decode_keyframe(row, self.classes())
+
+    def scene(self, row: Any) -> Scene | None:
+        """Return the label of the image alone in a row of ``keyframes``, None if it has none."""
+        classes = self.classes()
+        own, smoothed = decode_scene(row, classes), decode_smoothed_scene(row, classes)
+        for scene in (own, smoothed):
+            if scene is not None and len(scene.probabilities) != len(classes):
                 raise self._damage(
-                    f"{len(scene.probabilities)} probabilities of keyframe {keyframe.id}",
-                    f"one for each class: {', '.join(scene.classes)}",
+                    f"{len(scene.probabilities)} probabilities of keyframe {row['id']}",
+                    f"one for each class: {', '.join(classes)}",
                 )
-        return keyframe
+        return own
 
     def map_poses(self) -> Array:
         """Return T_map_camera of all keyframes, (K, 4, 4), NaN before their session is finished."""
