@@ -93,7 +93,7 @@ class BagFile:
             for _, time_ns, raw in self._reader.messages(self._connections(topic)):
                 received.append(time_ns)
                 stamped.append(self._stamp_ns(raw))
-        return np.array(received, np.int64), np.array(stamped, np.int64)
+            return np.array(received, np.int64), np.array(stamped, np.int64)
 
     def message(self, topic: str, index: int, received: NDArray[np.int64]) -> Any:
         """Return a message by its number, given when all of its topic were ``received``.
