@@ -14,6 +14,8 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
 from slam_bof.run.plan import read_plan
@@ -135,11 +137,16 @@ def read_run(folder: Path) -> ReportData:
         raise RunError(f"{metrics}: found {error}, expected the metrics of a run") from error
     if not isinstance(figures, dict):
         raise RunError(f"{metrics}: found no object, expected the metrics of a run")
+    for key, value in figures.items():
+        if not isinstance(value, str | int | float | None):
+            raise RunError(f"{metrics}: found a list or object as {key[:80]!r}, expected a number")
     odometry = read_tum(folder / "trajectory_odometry_tum.txt")
     optimized = read_tum(folder / "trajectory_optimized_tum.txt")
     if len(odometry) != len(optimized):
         found = f"{len(odometry)} poses of odometry and {len(optimized)} optimized"
         raise RunError(f"{folder}: found {found}, expected the same frames")
+    if not all(np.isfinite(trajectory.poses).all() for trajectory in (odometry, optimized)):
+        raise RunError(f"{folder}: found unknown poses in its trajectories, expected all of them")
     with MapStore.open(folder / "map.db") as store, store.snapshot():
         # The run may be one of several sessions of its map.
         own = [k for k in store.keyframes() if k.session == figures.get("session", 0)]

@@ -102,16 +102,21 @@ def test_a_run_s_folder_is_of_its_own_session(joined):
         assert json.loads((run.folder / "metrics.json").read_text()) == run.metrics
 
 
+UNKNOWN = "".join(f"{k / 30} {'nan' if k == 7 else k} 0 0 0 0 0 1\n" for k in range(40))
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
         ("metrics.json", "[" * 100_000, "expected the metrics of a run"),
         ("metrics.json", "[]", "expected the metrics of a run"),
+        ("metrics.json", '{"loop_precision": [1]}', "a list or object as 'loop_precision'"),
         ("health.csv", "health,n_open\ntracked,1e38\n", "expected columns health, n_open"),
         ("health.csv", "health\ntracked\n", "expected columns health, n_open"),
         ("health.csv", "health,n_open\n" + "x" * 200_000, "expected columns health, n_open"),
         ("config.yaml", b"\xff\xfe\x00", "expected text"),
         ("trajectory_odometry_tum.txt", "0 0 0 0 0 0 0 1\n", "expected the same frames"),
+        ("trajectory_odometry_tum.txt", UNKNOWN, "found unknown poses in its trajectories"),
     ],
 )
 def test_a_run_s_folder_with_a_damaged_file_is_refused(apart, tmp_path, name, text, message):
