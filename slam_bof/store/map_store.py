@@ -172,7 +172,8 @@ class MapStore(MapDatabase):
             raise ValueError(f"smoothed must have {n} labels, got {len(result.smoothed)}")
         ((n_frames,),) = self.select(
             "SELECT count(*) FROM frames JOIN (SELECT coalesce(max(frame_index), -1) AS last"
-            " FROM keyframes WHERE session = ?1) WHERE session = ?1 AND frame_index <= last",
+            " FROM keyframes WHERE session = ?) WHERE session = ? AND frame_index <= last",
+            session_id,
             session_id,
         )
         region_by_id = {id_: region.id for region in result.regions for id_ in region.keyframe_ids}
@@ -418,7 +419,7 @@ class MapStore(MapDatabase):
             )
             if found.rowcount != 1:
                 raise ValueError(f"{self.path}: loop {pair} is not a candidate of the map")
-        update_checksums(db, "candidates", "query_id = ?1 OR admitted_by = ?1", id_)
+        update_checksums(db, "candidates", "query_id = ? OR admitted_by = ?", id_, id_)
 
     def _keep_constant(self, db: sqlite3.Connection, key: str, value: object) -> None:
         """Save a parameter that all keyframes share; ``ValueError`` if its value differs."""

@@ -188,11 +188,11 @@ def query_loops(
 
     They are those of the pose graph, or all pairs that were ``considered``, whatever the decision.
     """
-    tail = "WHERE kind = 'loop' AND (?1 IS NULL OR ?1 IN (query_id, match_id))"
-    tail += " AND (?2 OR (decision = 'accepted' AND loop_id IS NOT NULL))"
+    tail = "WHERE kind = 'loop' AND (? IS NULL OR ? IN (query_id, match_id))"
+    tail += " AND (? OR (decision = 'accepted' AND loop_id IS NOT NULL))"
     tail += " ORDER BY loop_id IS NULL, loop_id, id"
     with store.snapshot():
-        rows = store.candidate_rows(tail, keyframe_id, considered)
+        rows = store.candidate_rows(tail, keyframe_id, keyframe_id, considered)
         keyframes = store.keyframe_rows()
         components = join_rows(keyframes, store.loop_rows())
     stamps_s = [row["stamp_s"] for row in keyframes]
