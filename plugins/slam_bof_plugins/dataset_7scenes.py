@@ -214,6 +214,8 @@ def _read_pose(file: Path) -> Pose:
     T = np.array(values).reshape(4, 4)
     if not np.isfinite(T).all():
         raise ValueError("found NaN or infinity, expected a pose")
+    if (farthest_m := float(np.abs(T[:3, 3]).max())) > se3.MAX_POSITION_M:
+        raise ValueError(f"found a position at {farthest_m:g} m, expected metres")
     R = T[:3, :3]
     off, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     if off > ROTATION_TOLERANCE or determinant < 0 or T[3].tolist() != [0, 0, 0, 1]:

@@ -147,8 +147,7 @@ class RosBag:
         if self._units_per_m is not None:
             is_integer = depth.dtype == np.uint16
             depth = (scale_depth if is_integer else np.divide)(depth, self._units_per_m)
-        if depth.dtype != np.uint16:
-            depth = checked_depth(self._where(number), depth, is_unit_known=False)
+        depth = checked_depth(self._where(number), depth, is_unit_known=False)
         return DepthFrame(float(self._stamps_s[index]), depth, self.intrinsics)
 
     def color(self, index: int) -> None:

@@ -207,17 +207,13 @@ def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajector
     found = poses_at(recorded, stamps_s, max_gap_s)
     n_unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
     if n_unknown:
-        times = (
-            f" (poses from {recorded.stamps_s[0]:.3f} to {recorded.stamps_s[-1]:.3f} s, frames "
-            f"from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s)"
-        )
-        logger.warning(
-            "%s: no pose near %d of %d frames%s",
-            path,
-            n_unknown,
-            len(stamps_s),
-            times if n_unknown == len(stamps_s) and len(recorded) else "",
-        )
+        times = ""
+        if n_unknown == len(stamps_s) and len(recorded):
+            times = (
+                f" (poses from {recorded.stamps_s[0]:.3f} to {recorded.stamps_s[-1]:.3f} s, frames "
+                f"from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s)"
+            )
+        logger.warning("%s: no pose near %d of %d frames%s", path, n_unknown, len(stamps_s), times)
     return found if n_unknown < len(stamps_s) else None
 
 

@@ -57,6 +57,8 @@ def checked_depth(
     DatasetError
         If it is nowhere nearer, but is not empty: its unit is another, or it is no depth.
     """
+    if depth_m.dtype == np.uint16:
+        return depth_m  # millimetres, which end at 65 m
     is_known = np.isfinite(depth_m) & (depth_m > 0.0)
     is_far = is_known & (depth_m > MAX_DEPTH_M)
     n_far, n_known = np.count_nonzero(is_far), np.count_nonzero(is_known)
