@@ -8,8 +8,9 @@ import os
 import re
 import subprocess
 import sys
+import sysconfig
 import tomllib
-import zipfile
+import venv
 from pathlib import Path
 
 import pytest
@@ -22,7 +23,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 CONSTRAINTS = (ROOT / "scripts" / "constraints.txt").read_text(encoding="utf-8").splitlines()
 PIN = re.compile(r"([A-Za-z0-9._-]+)==([0-9][A-Za-z0-9.+!]*)")
-SCRIPTS = ["scripts/demo", "scripts/test", ".ci/run"]
+SCRIPTS = ["scripts/demo", "scripts/test", "scripts/try_wheel", ".ci/run"]
 
 
 def pins() -> dict[str, str]:
@@ -119,22 +120,37 @@ print(json.dumps({
 
 
 def test_the_wheel_is_whole_outside_of_the_repository(tmp_path: Path) -> None:
-    """It is unpacked and used from another folder; its libraries are those of this environment."""
+    """It is installed into an environment of its own, with the libraries of this one.
+
+    ``scripts/try_wheel`` also installs the libraries, from the package index.
+    """
     pytest.importorskip("hatch_fancy_pypi_readme", reason="needs pip install slam-bof[dev]")
     build = "from hatchling.build import build_wheel; print(build_wheel(__import__('sys').argv[1]))"
     done = subprocess.run(
         [sys.executable, "-c", build, str(tmp_path)],
         cwd=ROOT, capture_output=True, text=True, check=True,
     )  # fmt: skip
-    with zipfile.ZipFile(tmp_path / done.stdout.split()[-1]) as wheel:
-        wheel.extractall(tmp_path / "site")
-    site = str(tmp_path / "site")
-    used = subprocess.run(
-        [sys.executable, "-c", OUTSIDE, site],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": site}, capture_output=True, text=True,
-    )  # fmt: skip
-    assert used.returncode == 0, used.stderr
-    found = json.loads(used.stdout)
+    clean = tmp_path / "clean"
+    venv.create(clean, symlinks=True)
+    python = clean / "bin" / "python"
+    install = ["-m", "pip", "--python", str(python), "install", "-q", "--no-deps", "--no-index"]
+    wheel = tmp_path / done.stdout.split()[-1]
+    subprocess.run([sys.executable, *install, str(wheel)], check=True, capture_output=True)
+    (site,) = clean.glob("lib/python*/site-packages")
+    libraries = dict.fromkeys(sysconfig.get_path(name) for name in ("purelib", "platlib"))
+    (site / "libraries.pth").write_text("\n".join(libraries))  # without what is editable there
+    environ = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+    def run(*command: object) -> str:
+        used = subprocess.run(
+            list(map(str, command)), cwd=tmp_path, env=environ, capture_output=True, text=True
+        )
+        assert used.returncode == 0, used.stderr
+        return used.stdout
+
+    assert run(clean / "bin" / "slam-bof", "--version").split()[-1] == PROJECT["project"]["version"]
+    assert "usage" in run(python, "-m", "slam_bof", "-h").lower()
+    found = json.loads(run(python, "-c", OUTSIDE, site))
     assert found["model"]
     assert set(found["datasets"]) >= PROJECT["project"]["entry-points"]["slam_bof.datasets"].keys()
     links = re.findall(r"\]\(([^)]+)\)", found["readme"])

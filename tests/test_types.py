@@ -1,5 +1,6 @@
 import dataclasses
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -110,10 +111,40 @@ def test_intrinsics_are_plain_numbers_whatever_they_are_given_as() -> None:
     assert camera == Intrinsics(160, 120, 140.5, 140.5, 79.5, 59.5)
     kinds = {type(value) for value in dataclasses.astuple(camera)}
     assert kinds == {int, float}
-    with pytest.raises(TypeError):
+    with pytest.raises(ValueError, match=r"found width = 160.5, expected a whole number"):
         Intrinsics(160.5, 120, 140.0, 140.0, 79.5, 59.5)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="image of 0x120 pixels"):
         Intrinsics(0, 120, 140.0, 140.0, 79.5, 59.5)
+
+
+@pytest.mark.parametrize("value", [None, "x", [], 1j, 10**400, np.datetime64("2026-01-01")])
+def test_intrinsics_that_are_no_numbers_are_named(value: Any) -> None:
+    with pytest.raises(ValueError, match=r"found fy = .*, expected a number"):
+        Intrinsics(160, 120, 140.0, value, 79.5, 59.5)
+    with pytest.raises(ValueError, match="height"):
+        Intrinsics(160, value, 140.0, 140.0, 79.5, 59.5)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_depth_beyond_any_unit_is_missing(kind: type) -> None:
+    numbers = [1.0, 2e12, 1e38, 1e300 if kind is np.float64 else 1e38, np.inf, np.nan, -1.0, 0.0]
+    frame = DepthFrame(0.0, np.array([numbers], kind), Intrinsics(8, 1, 8.0, 1.0, 3.5, 0.0))
+    assert frame.depth_m().tolist() == [[1.0, *[0.0] * 7]]
+
+
+@pytest.mark.parametrize(
+    ("stamps_s", "poses", "message"),
+    [
+        ([0.0], np.eye(4)[None], "stamps_s must be an array of numbers, got list"),
+        (np.zeros(1), None, "poses must be an array of numbers, got NoneType"),
+        (np.zeros(1), np.array([["x"]]), "poses must be an array of numbers, got <U1"),
+        (np.zeros((1, 1)), np.eye(4)[None], "stamps_s must be"),
+        (np.zeros(2), np.eye(4)[None], "poses must be"),
+    ],
+)
+def test_what_is_no_trajectory_is_refused(stamps_s: Any, poses: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Trajectory(stamps_s, poses)
 
 
 def test_a_trajectory_is_shown_in_one_line() -> None:

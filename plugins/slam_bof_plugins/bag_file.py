@@ -62,10 +62,11 @@ class BagFile:
             self._reader.open()
         # Data sets are never closed explicitly: the file is closed with the last reference.
         weakref.finalize(self, self._reader.close)
-        self.topics = [
-            Topic(name, info.msgtype or "", info.msgcount)
-            for name, info in sorted(self._reader.topics.items())
-        ]
+        with self._naming():
+            self.topics = [
+                Topic(name, info.msgtype or "", info.msgcount)
+                for name, info in sorted(self._reader.topics.items())
+            ]
 
     def messages(self, topic: str) -> Iterator[tuple[int, Any]]:
         """Yield the time in ns and the message, one by one, of a topic."""
@@ -92,7 +93,7 @@ class BagFile:
             for _, time_ns, raw in self._reader.messages(self._connections(topic)):
                 received.append(time_ns)
                 stamped.append(self._stamp_ns(raw))
-        return np.array(received, np.int64), np.array(stamped, np.int64)
+            return np.array(received, np.int64), np.array(stamped, np.int64)
 
     def message(self, topic: str, index: int, received: NDArray[np.int64]) -> Any:
         """Return a message by its number, given when all of its topic were ``received``.
@@ -136,7 +137,7 @@ class BagFile:
             raise
         # Damaged bytes make the library and the decoders below it raise nearly anything.
         except Exception as error:
-            reason = " ".join(str(error).split()) or type(error).__name__
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
             raise DatasetError(
                 f"{self.path}: found a bag that cannot be read ({reason}), expected a whole one; "
                 "rosbag reindex, ros2 bag reindex or mcap recover may repair it"

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import decode_image
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose, Trajectory
@@ -116,7 +117,7 @@ class SevenScenes:
         for suffix in COLOR_SUFFIXES:
             file = self._file(index, suffix)
             if file.is_file():
-                image = cv2.imread(str(file), flags)
+                image = decode_image(file.read_bytes(), flags)
                 if image is None:
                     logger.warning("%s: colour image cannot be read", file)
                     return None
@@ -213,6 +214,8 @@ def _read_pose(file: Path) -> Pose:
     T = np.array(values).reshape(4, 4)
     if not np.isfinite(T).all():
         raise ValueError("found NaN or infinity, expected a pose")
+    if (farthest_m := float(np.abs(T[:3, 3]).max())) > se3.MAX_POSITION_M:
+        raise ValueError(f"found a position at {farthest_m:g} m, expected metres")
     R = T[:3, :3]
     off, determinant = np.abs(R @ R.T - np.eye(3)).max(), np.linalg.det(R)
     if off > ROTATION_TOLERANCE or determinant < 0 or T[3].tolist() != [0, 0, 0, 1]:

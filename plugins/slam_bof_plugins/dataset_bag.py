@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import checked_intrinsics
+from slam_bof.geometry import checked_depth, checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params, Trajectory
 from slam_bof_plugins.bag_file import BagFile, Topic, bag_kind, find_bag, open_bag
 from slam_bof_plugins.bag_images import decode_depth
@@ -147,6 +147,7 @@ class RosBag:
         if self._units_per_m is not None:
             is_integer = depth.dtype == np.uint16
             depth = (scale_depth if is_integer else np.divide)(depth, self._units_per_m)
+        depth = checked_depth(self._where(number), depth, is_unit_known=False)
         return DepthFrame(float(self._stamps_s[index]), depth, self.intrinsics)
 
     def color(self, index: int) -> None:

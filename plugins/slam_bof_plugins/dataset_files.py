@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import decode_image
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import nearest_stamps, ray_slopes, read_tum, se3
 from slam_bof.types import INVALID_DEPTH_MM, Array, Intrinsics, Trajectory
@@ -206,24 +207,20 @@ def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajector
     found = poses_at(recorded, stamps_s, max_gap_s)
     n_unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
     if n_unknown:
-        times = (
-            f" (poses from {recorded.stamps_s[0]:.3f} to {recorded.stamps_s[-1]:.3f} s, frames "
-            f"from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s)"
-        )
-        logger.warning(
-            "%s: no pose near %d of %d frames%s",
-            path,
-            n_unknown,
-            len(stamps_s),
-            times if n_unknown == len(stamps_s) and len(recorded) else "",
-        )
+        times = ""
+        if n_unknown == len(stamps_s) and len(recorded):
+            times = (
+                f" (poses from {recorded.stamps_s[0]:.3f} to {recorded.stamps_s[-1]:.3f} s, frames "
+                f"from {stamps_s[0]:.3f} to {stamps_s[-1]:.3f} s)"
+            )
+        logger.warning("%s: no pose near %d of %d frames%s", path, n_unknown, len(stamps_s), times)
     return found if n_unknown < len(stamps_s) else None
 
 
 def _read_image(path: Path | None, flags: int) -> NDArray[np.uint8] | None:
     if path is None or not os.path.isfile(path):
         return None
-    image = cv2.imread(str(path), flags)
+    image = decode_image(path.read_bytes(), flags)
     if image is None:
         logger.warning("%s: colour image cannot be read", path)
         return None

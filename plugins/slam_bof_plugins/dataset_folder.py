@@ -243,11 +243,9 @@ def _check_size(file: Path, size: tuple[int, int]) -> None:
 
 
 def _read_depth(file: Path, units_per_m: float | None) -> NDArray[Any]:
-    if file.suffix == ".png":
-        return scale_depth(read_depth_png(file), units_per_m or 1000.0)
-    array = np.array(_open_array(file))
+    array = read_depth_png(file) if file.suffix == ".png" else np.array(_open_array(file))
     if array.dtype == np.uint16:
-        return scale_depth(array, units_per_m or 1000.0)
+        return checked_depth(file, scale_depth(array, units_per_m or 1000.0))
     with np.errstate(over="ignore"):  # beyond float32: infinite, which is missing
         depth_m = (array.astype(np.float64) / (units_per_m or 1.0)).astype(np.float32)
     return checked_depth(file, depth_m)

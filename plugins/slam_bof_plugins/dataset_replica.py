@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import DatasetError
-from slam_bof.geometry import checked_intrinsics, se3, warn_unknown
+from slam_bof.geometry import checked_depth, checked_intrinsics, se3, warn_unknown
 from slam_bof.types import DepthFrame, Intrinsics, Pose, Trajectory
 from slam_bof_plugins.dataset_files import (
     check_depth_files,
@@ -103,7 +103,8 @@ class Replica:
 
     def frame(self, index: int) -> DepthFrame:
         """Read a frame; its time is its number at 30 Hz, its depth float32 m."""
-        depth = scale_depth(read_depth_png(self._files[index]), self.units_per_m)
+        file = self._files[index]
+        depth = checked_depth(file, scale_depth(read_depth_png(file), self.units_per_m))
         return DepthFrame(self._numbers[index] / FRAMES_PER_S, depth, self.intrinsics)
 
     def color(self, index: int) -> NDArray[np.uint8] | None:

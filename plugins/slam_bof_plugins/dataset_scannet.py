@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import decode_image
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import checked_intrinsics, se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Trajectory
@@ -101,7 +102,7 @@ class ScanNet:
         if self._sens.color_coding not in ("png", "jpeg"):
             return None
         data = self._sens.read_color(index)
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data else None
+        image = decode_image(data, flags)
         if image is None:
             logger.warning("%s: colour image %d cannot be read", self._sens.path, index)
             return None

@@ -216,6 +216,8 @@ def _read_npy(file: Path) -> tuple[Trajectory, bool]:
         norms = np.linalg.norm(table[:, 4:], axis=1)
         if not np.isfinite(table).all() or (np.diff(table[:, 0]) <= 0).any():
             raise DatasetError(f"{file}: expected finite rows with strictly increasing timestamps")
+        if (farthest_m := np.abs(table[:, 1:4]).max(initial=0.0)) > se3.MAX_POSITION_M:
+            raise DatasetError(f"{file}: found a position at {farthest_m:g} m, expected metres")
         if (np.abs(norms - 1.0) > se3.TOLERANCE).any():
             worst = norms[np.abs(norms - 1.0).argmax()]
             raise DatasetError(f"{file}: found a quaternion of norm {worst:.6g}, expected 1")

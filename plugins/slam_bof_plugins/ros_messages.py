@@ -34,12 +34,12 @@ def seconds(stamp: Any) -> float:
 
 
 def pose_matrix(pose: Any) -> Pose:
-    """Return a geometry_msgs/Pose as (4, 4); NaN where its quaternion is none."""
+    """Return a geometry_msgs/Pose as (4, 4); NaN where it cannot be one."""
     return _matrix(pose.orientation, pose.position)
 
 
 def transform_matrix(transform: Any) -> Pose:
-    """Return a geometry_msgs/Transform as (4, 4); NaN where its quaternion is none."""
+    """Return a geometry_msgs/Transform as (4, 4); NaN where it cannot be one."""
     return _matrix(transform.rotation, transform.translation)
 
 
@@ -82,6 +82,7 @@ def scale_center(center: float, share: float) -> float:
 
 def _matrix(q: Any, t: Any) -> Pose:
     quaternion = np.array([q.x, q.y, q.z, q.w])
-    if not 0.5 < np.linalg.norm(quaternion) < 2.0:
+    is_near = max(abs(t.x), abs(t.y), abs(t.z)) < se3.MAX_POSITION_M
+    if not is_near or not 0.5 < np.linalg.norm(quaternion) < 2.0:
         return np.full((4, 4), np.nan)  # all zeros: the writer knew no pose
     return se3.from_quaternion(quaternion, (t.x, t.y, t.z))

@@ -96,6 +96,11 @@ def read_image(
             f"{path}: found no {CAMERA_FILE} beside it, expected --intrinsics FX FY CX CY, or "
             "--map for the camera of a map"
         )
+    if depth_scale is None and map_ is None and not is_described and path.suffix != ".npy":
+        raise DatasetError(
+            f"{path}: found no {CAMERA_FILE} beside it, expected --depth-scale, the units of depth "
+            "per metre, such as 1000"
+        )
     frame, found = read_depth_image(path, intrinsics=given, depth_scale=depth_scale)
     return frame, source or found
 

@@ -9,6 +9,7 @@ import typer
 
 from slam_bof.cli.inputs import map_file, open_sequence, read_image
 from slam_bof.cli.options import (
+    COMPONENT,
     DEPTH_SCALE,
     EVERY,
     FORMAT,
@@ -24,7 +25,7 @@ from slam_bof.cli.tables import show_rows
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from slam_bof.maps import LocalizedFrame
+    from slam_bof.maps import MapLocalizer
     from slam_bof.ports import Dataset
     from slam_bof.types import DepthFrame, Trajectory
 
@@ -35,6 +36,7 @@ COLUMNS = (
     ("x m", "translation_m_0"),
     ("y m", "translation_m_1"),
     ("z m", "translation_m_2"),
+    ("component", "component"),
     ("keyframe", "keyframe_id"),
     ("overlap", "overlap"),
     ("room", "room"),
@@ -55,6 +57,7 @@ def localize(
     dataset: Annotated[
         str, typer.Option(help="Layout of a SEQUENCE; by default it is recognised.")
     ] = "auto",
+    component: COMPONENT = None,
     intrinsics: INTRINSICS = None,
     depth_scale: DEPTH_SCALE = None,
     format_: FORMAT = "table",
@@ -73,10 +76,10 @@ def localize(
     from slam_bof.slam import PluginChoice
 
     form: Format = "json" if as_json else format_
-    localizer = MapLocalizer.open(map_file(map_))
+    localizer = MapLocalizer.open(map_file(map_), component=component)
     if is_image(source) and not source.is_dir():
         frame = read_image(source, map_, intrinsics=intrinsics, depth_scale=depth_scale)[0]
-        row = _row(0, frame, localizer.localize(frame))
+        row = _row(0, frame, localizer)
         if form == "json":
             print_json(row)
         else:
@@ -87,7 +90,7 @@ def localize(
     rows: list[dict[str, Any]] = []
     with Bar("Localizing", quiet=quiet or form != "table") as bar:
         for index, frame in _frames(sequence, every, rows):
-            rows.append(_row(first + index, frame, localizer.localize(frame)))
+            rows.append(_row(first + index, frame, localizer))
             bar.show(index + 1, len(sequence))
     show_rows(rows, COLUMNS, form)
     if form == "table":
@@ -114,10 +117,11 @@ def _frames(
             )
 
 
-def _row(index: int, frame: DepthFrame, located: LocalizedFrame) -> dict[str, Any]:
-    """Return the answer for a frame as a row."""
+def _row(index: int, frame: DepthFrame, localizer: MapLocalizer) -> dict[str, Any]:
+    """Localize a frame; return the answer as a row."""
     from slam_bof.geometry import se3
 
+    located = localizer.localize(frame)
     found, scene, T = located.localization, located.scene, located.localization.T_map_camera
     return {
         "frame_index": index,
@@ -126,6 +130,7 @@ def _row(index: int, frame: DepthFrame, located: LocalizedFrame) -> dict[str, An
         "translation_m": None if T is None else tuple(T[:3, 3].tolist()),
         "quaternion_xyzw": None if T is None else tuple(se3.to_quaternion(T).tolist()),
         "T_map_camera": None if T is None else T.tolist(),
+        "component": localizer.component if found.is_known else None,
         "keyframe_id": None if located.keyframe is None else located.keyframe.id,
         "overlap": found.overlap if found.is_known else None,
         "rmse_m": found.rmse_m if found.is_known else None,

@@ -8,6 +8,7 @@ from .checkpoint import (
     Restorable as Restorable,
 )
 from .failures import keep_going as keep_going
+from .images import decode_image as decode_image
 from .native_libraries import (
     import_open3d as import_open3d,
     one_blas_thread as one_blas_thread,
@@ -25,7 +26,9 @@ from .registry import (
 from .timing import (
     StageClock as StageClock,
     Usage as Usage,
+    machine_memory_mb as machine_memory_mb,
     peak_rss_mb as peak_rss_mb,
+    rss_mb as rss_mb,
 )
 from .validation import (
     describe_error as describe_error,

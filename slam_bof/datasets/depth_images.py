@@ -6,16 +6,14 @@ import itertools
 import json
 import os
 import re
-import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import open_npy
+from slam_bof.core import decode_image, open_npy
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import checked_depth, checked_intrinsics
 from slam_bof.types import MAX_PIXELS, DepthFrame, Intrinsics
@@ -84,14 +82,14 @@ def read_depth_image(
     if camera_file is None and beside.is_file():
         camera_file = beside
     offset = 0.0
+    if camera_file is not None:
+        camera, scale, offset = _read_camera(camera_file, width, height)
+        depth_scale, source = depth_scale or scale, f"from {camera_file}"
     if intrinsics is not None:
         fx, fy, cx, cy = intrinsics
         camera = checked_intrinsics(f"--intrinsics for {path}", width, height, fx, fy, cx, cy)
         source = "as given"
-    elif camera_file is not None:
-        camera, scale, offset = _read_camera(camera_file, width, height)
-        depth_scale, source = depth_scale or scale, f"from {camera_file}"
-    else:
+    elif camera_file is None:
         focal_px = KINECT_FOCAL_PX * width / 640.0
         camera = Intrinsics(width, height, focal_px, focal_px, width / 2, height / 2)
         source = f"assumed, a Kinect's; found no {CAMERA_FILE} beside the image"
@@ -167,14 +165,10 @@ def _read(path: Path) -> NDArray[Any]:
             reason = " ".join(str(error).split())
             raise DatasetError(f"{path}: found no array ({reason}), expected depth") from error
     else:
-        coded = np.fromfile(path, np.uint8)
-        try:
-            read = cv2.imdecode(coded, cv2.IMREAD_UNCHANGED) if _is_moderate(coded) else None
-        except cv2.error:  # a header of more pixels than OpenCV takes
-            read = None
+        read = decode_image(path.read_bytes())
         if read is None:
             raise DatasetError(f"{path}: found no image that can be read, expected 16-bit depth")
-        image = np.asarray(read)
+        image = read
     is_depth = image.dtype in (np.uint8, np.uint16) or image.dtype.kind == "f"
     if not is_depth or image.ndim != 2 or image.size > MAX_PIXELS:
         shape = "x".join(map(str, image.shape))
@@ -183,15 +177,6 @@ def _read(path: Path) -> NDArray[Any]:
             f"or of floats in metres, and at most {MAX_PIXELS} pixels"
         )
     return image
-
-
-def _is_moderate(coded: NDArray[np.uint8]) -> bool:
-    """Return whether there is an image of moderate size, as the header of a PNG file says."""
-    head = coded[:24].tobytes()
-    if not head.startswith(b"\x89PNG"):
-        return len(head) > 0
-    width, height = struct.unpack(">2I", head[16:].ljust(8, b"\0"))
-    return bool(0 < width * height <= MAX_PIXELS)
 
 
 def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None, float]:

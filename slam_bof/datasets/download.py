@@ -11,6 +11,7 @@ from pathlib import Path
 from slam_bof.datasets.download_archive import BadArchive, unpack
 from slam_bof.datasets.download_catalogue import Archive, find_archives
 from slam_bof.datasets.download_http import fetch
+from slam_bof.datasets.download_sums import check_sum, record_sum
 from slam_bof.errors import DatasetError
 
 __all__ = ["Downloaded", "OnProgress", "download"]
@@ -39,7 +40,8 @@ def download(
     """Download a part of a data set to ``out/COLLECTION/``, unless its folder exists.
 
     An archive that exists is not downloaded again. An interrupted download is continued. A folder
-    appears when it is unpacked completely.
+    appears when it is unpacked completely. The SHA-256 of the archive is recorded in
+    ``out/COLLECTION/SHA256SUMS``; a later download of another one is refused.
 
     Parameters
     ----------
@@ -83,6 +85,7 @@ def _download(
     url = f"{base_url.rstrip('/')}/{archive.file_name}" if base_url else archive.url
     file = out / archive.file_name
     fetch(url, file, progress=lambda *sizes: on_progress(f"Downloading {file.name}", *sizes))
+    sha256 = check_sum(file)
     # On the same file system, so that the folder can be moved in one step.
     trial = out / f".{archive.folder}.unpacking"
     shutil.rmtree(trial, ignore_errors=True)
@@ -92,6 +95,7 @@ def _download(
             found = ", ".join(sorted(path.name for path in trial.iterdir())[:5]) or "nothing"
             raise BadArchive(f"{file}: found {found} inside, expected {archive.folder}/")
         (trial / archive.folder).replace(folder)
+        record_sum(file, sha256)
     except BadArchive as error:
         # Renamed, so that the next call downloads it again.
         bad = file.with_name(file.name + ".bad")

@@ -128,7 +128,7 @@ def _fetch_rest(url: str, part: Path, progress: Progress) -> None:
         raise DatasetError(f"{url}: found {found}, expected a file") from error
     except urllib.error.URLError as error:
         raise _Unreachable(f"cannot be reached ({printable(error.reason)})") from error
-    except (ValueError, http.client.InvalidURL) as error:  # a name of a server that is none
+    except (ValueError, OverflowError, http.client.InvalidURL) as error:  # no server, no port
         raise DatasetError(f"{url}: {printable(error)}, expected an address") from error
     except (http.client.HTTPException, ConnectionError, TimeoutError) as error:
         raise _Cut(f"connection cut ({printable(error) or type(error).__name__})") from error

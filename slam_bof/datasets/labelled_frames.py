@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
@@ -157,10 +158,13 @@ def read_label_file(file: Path) -> list[LabelledSequence]:
     for number, row in rows:
         words = [word.strip() for word in row]
         if len(words) != 2 or not all(words):
-            raise DatasetError(f"{file}:{number}: found {','.join(row)!r}, expected path,label")
+            raise DatasetError(
+                f"{file}:{number}: found {','.join(row)[:80]!r}, expected path,label"
+            )
         path, label = file.parent / Path(words[0]).expanduser(), words[1]
-        if not path.exists():
-            raise DatasetError(f"{file}:{number}: found no {path}, expected a sequence or image")
+        if not os.path.exists(path):  # of names that no file can have, too
+            found = f"no {words[0][:200]!r}"
+            raise DatasetError(f"{file}:{number}: found {found}, expected a sequence or image")
         if path.is_file() and is_image(path):
             images.setdefault((label, path.parent), []).append(path)
         else:
@@ -214,7 +218,7 @@ def read_split(scene: Path, name: str) -> list[Path]:
         raise DatasetError(
             f"{file}: found no such file, expected lines such as sequence1"
         ) from None
-    numbers = [int(match[1]) for word in words if (match := re.fullmatch(r"\D*(\d+)", word))]
+    numbers = [int(match[1]) for word in words if (match := re.fullmatch(r"\D*(\d{1,9})", word))]
     if not numbers:
         raise DatasetError(f"{file}: found no sequences, expected lines such as sequence1")
     found = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -60,8 +61,8 @@ def read_image_table(file: Path, *, camera_file: Path | None = None) -> list[Lab
         for names in (FILE_COLUMNS, SCENE_COLUMNS)
     )
     if file_column is None or scene_column is None or GROUP_COLUMN not in columns:
-        found = ", ".join(columns) or "nothing"
-        raise DatasetError(f"{file}: found columns {found}, expected {EXPECTED}")
+        found = ", ".join(columns)[:200] or "nothing"
+        raise DatasetError(f"{file}: found columns {found!r}, expected {EXPECTED}")
     has_gravity = set(ROTATION_COLUMNS) <= set(columns)
     items = []
     for number, row in rows:
@@ -71,8 +72,9 @@ def read_image_table(file: Path, *, camera_file: Path | None = None) -> list[Lab
             raise DatasetError(
                 f"{file}:{number}: found {','.join(words)[:80]!r}, expected {EXPECTED}"
             )
-        if not path.is_file():
-            raise DatasetError(f"{file}:{number}: found no {path}, expected a depth image")
+        if not os.path.isfile(path):  # of names that no file can have, too
+            found = f"no {words[0][:200]!r}"
+            raise DatasetError(f"{file}:{number}: found {found}, expected a depth image")
         gravity = _gravity(row, f"{file}:{number}") if has_gravity else None
         items.append((path, words[1], words[2], gravity))
     if not items:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import bisect
 from collections import Counter, deque
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -113,8 +114,7 @@ class FramePoseSynchroniser:
         ValueError
             If its stamp is not finite.
         """
-        if not np.isfinite(frame.stamp_s):
-            raise ValueError(f"a frame's stamp must be finite, got {frame.stamp_s}")
+        _check_stamp("frame", frame.stamp_s)
         if self.is_full:
             return False
         stamps_s = [waiting.stamp_s for waiting in self._frames]
@@ -135,10 +135,8 @@ class FramePoseSynchroniser:
         ValueError
             If it is not finite or no rotation and translation, or its stamp is not finite.
         """
-        if not np.isfinite(stamp_s):
-            raise ValueError(f"a pose's stamp must be finite, got {stamp_s}")
-        T_odom_camera = np.array(T_odom_camera, dtype=np.float64)
-        se3.check_rigid(T_odom_camera)
+        _check_stamp("pose", stamp_s)
+        T_odom_camera = se3.checked_pose(T_odom_camera)
         if stamp_s < self._last_s - self.params.max_gap_s:
             self._drop(stamp_s, "pose came after all frames that could need it")
             return
@@ -214,3 +212,8 @@ class FramePoseSynchroniser:
     def _drop(self, stamp_s: float, reason: str) -> None:
         self.dropped.append(Dropped(stamp_s, reason))
         self.counts[reason] += 1
+
+
+def _check_stamp(what: str, stamp_s: float) -> None:
+    if not isinstance(stamp_s, Real) or not -np.inf < stamp_s < np.inf:
+        raise ValueError(f"a {what}'s stamp must be finite, got {stamp_s!r:.40}")

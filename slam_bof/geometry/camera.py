@@ -44,24 +44,32 @@ class PointParams(Params):
         return self
 
 
-def checked_depth(where: Path | str, depth_m: NDArray[Any]) -> NDArray[Any]:
+def checked_depth(
+    where: Path | str, depth_m: NDArray[Any], *, is_unit_known: bool = True
+) -> NDArray[Any]:
     """Return a depth image that a file gives in metres, with 0 where it is farther than 1 km.
+
+    Without ``is_unit_known``, an image that is mostly farther is returned as it is: then the unit
+    is probably another, of which a run warns.
 
     Raises
     ------
     DatasetError
         If it is nowhere nearer, but is not empty: its unit is another, or it is no depth.
     """
+    if depth_m.dtype == np.uint16:
+        return depth_m  # millimetres, which end at 65 m
     is_known = np.isfinite(depth_m) & (depth_m > 0.0)
     is_far = is_known & (depth_m > MAX_DEPTH_M)
-    if is_far.any():
-        if is_far.sum() == is_known.sum():
-            raise DatasetError(
-                f"{where}: found depths from {depth_m[is_far].min():g} m, expected some within "
-                f"{MAX_DEPTH_M:g} m: is the unit right?"
-            )
-        depth_m = np.where(is_far, np.float32(0.0), depth_m)
-    return depth_m
+    n_far, n_known = np.count_nonzero(is_far), np.count_nonzero(is_known)
+    if n_far == 0 or (not is_unit_known and n_far > n_known / 2):
+        return depth_m
+    if n_far == n_known:
+        raise DatasetError(
+            f"{where}: found depths from {depth_m[is_far].min():g} m, expected some within "
+            f"{MAX_DEPTH_M:g} m: is the unit right?"
+        )
+    return np.where(is_far, np.float32(0.0), depth_m)
 
 
 def checked_intrinsics(

@@ -15,6 +15,7 @@ from slam_bof.types import Array, Pose
 __all__ = [
     "align",
     "check_rigid",
+    "checked_pose",
     "exp",
     "from_quaternion",
     "interpolate",
@@ -68,6 +69,25 @@ expected an orthonormal one of determinant 1
     if len(T) == 4 and np.abs(T[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
         last_row = " ".join(f"{number:g}" for number in T[3])
         raise ValueError(f"found a last row {last_row}, expected 0 0 0 1")
+
+
+def checked_pose(T: ArrayLike) -> Pose:
+    """Return a copy of a pose (4, 4) given by the user, as float64 with an exact last row.
+
+    Raises
+    ------
+    ValueError
+        If it is no array of numbers, or in the cases of ``check_rigid``.
+    """
+    found = np.asarray(T)
+    if found.dtype.kind not in "fiu":
+        raise ValueError(f"found an array of {found.dtype}, expected numbers (4, 4)")
+    if found.shape == (3, 4):
+        raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
+    checked = np.array(found, dtype=np.float64)
+    check_rigid(checked)
+    checked[3] = LAST_ROW
+    return checked
 
 
 def pose(R: ArrayLike, t: ArrayLike) -> Pose:

@@ -130,10 +130,11 @@ class CloudCamera:
         ValueError
             If the points are not (N, 3).
         """
-        points = np.asarray(points_camera, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] != 3:
-            raise ValueError(f"points_camera must be (N, 3), got {points.shape}")
-        points = points[np.isfinite(points).all(axis=1)]
+        points = np.asarray(points_camera)
+        if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+            found = f"{points.shape} of {points.dtype}"
+            raise ValueError(f"points_camera must be numbers (N, 3), got {found}")
+        points = points[np.isfinite(points).all(axis=1)].astype(np.float64)
         if self._intrinsics is None and len(points) >= self.params.min_points:
             self._choose_camera(points, T_odom_camera)
         T_camera_view = self._T_camera_view(T_odom_camera)

@@ -108,8 +108,11 @@ class LoopDetector:
         self._stamps_s = GrowingArray((), np.float64)
         self._maxima: deque[tuple[int, ...]] = deque(maxlen=params.tc)
 
-    def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
-        """Return the candidates of a keyframe, and store it."""
+    def find(self, keyframe: Keyframe, frame: DepthFrame, *, search: bool = True) -> Found:
+        """Return the candidates of a keyframe, none without ``search``, and store it."""
+        if not search:
+            self.remember(keyframe, frame, [])
+            return Found()
         # Keyframes from before a loss of odometry are searched whatever their age.
         n_old = int(np.searchsorted(self._segments.rows, keyframe.segment))
         stamps_s = self._stamps_s.rows[n_old:]

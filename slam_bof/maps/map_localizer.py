@@ -13,7 +13,7 @@ from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import config as configs
-from slam_bof.store import MapStore, choose_component
+from slam_bof.store import MapStore, choose_component, components_of
 from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
 
 __all__ = ["LocalizedFrame", "MapLocalizer"]
@@ -37,8 +37,15 @@ class LocalizedFrame:
 class MapLocalizer:
     """Localizes depth images in a saved map and labels them with the map's model.
 
-    Of a map with several components, which no loop connects, the largest is used. Culled keyframes
-    are not compared with.
+    Of a map with several components, which no loop connects, one is used, by default the largest.
+    Culled keyframes are not compared with.
+
+    Attributes
+    ----------
+    intrinsics
+        The camera of the map.
+    component
+        The component of the pose graph that poses refer to.
 
     Examples
     --------
@@ -50,26 +57,28 @@ class MapLocalizer:
     def __init__(
         self,
         localizer: Localizer,
-        keyframes: list[Keyframe],
+        keyframes: dict[int, Keyframe],
         labeller: Labeller | None,
         intrinsics: Intrinsics,
         sensor: SensorParams,
+        component: int,
     ) -> None:
         self.intrinsics = intrinsics
+        self.component = component
         self._sensor = sensor
         self._localizer = localizer
         self._keyframes = keyframes
         self._labeller = labeller
 
     @classmethod
-    def open(cls, path: Path | str) -> Self:
-        """Load a finished map.
+    def open(cls, path: Path | str, *, component: int | None = None) -> Self:
+        """Load a finished map: a component of it, by default the largest.
 
         Raises
         ------
         MapError
-            If the map has no keyframes or no depth images, is damaged, or its last run was
-            interrupted.
+            If the map has no keyframes, no depth images or no such component, is damaged, or its
+            last run was interrupted.
         ModelError
             If the model that the map was made with is missing.
         """
@@ -93,8 +102,9 @@ class MapLocalizer:
             made_with = store.parameters().get("model")
             model = models.resolve(models.name_by_hash(config.model, made_with))
             anchors = store.anchors()
-            searched = choose_component(store) & (anchors == np.arange(len(anchors)))
-            largest = np.flatnonzero(searched)
+            inside = choose_component(store, component)
+            component = int(components_of(store)[inside][0])
+            searched = np.flatnonzero(inside & (anchors == np.arange(len(anchors))))
             localizer = Localizer(
                 registry.build("verifiers", config.verifier.name, config.verifier.options),
                 recogniser_params=config.loops.recogniser,
@@ -102,13 +112,13 @@ class MapLocalizer:
                 sensor=config.sensor,
                 seed=config.seed,
             )
-            for k in largest:
+            for k in searched:
                 frame = store.view(int(k))
                 if frame is None:
                     raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
-                localizer.add(frame, T_map_camera[k])
-        own = [keyframes[k] for k in largest]
-        return cls(localizer, own, model.labeller(config.labels.by), camera, config.sensor)
+                localizer.add(frame, T_map_camera[k], name=int(k))
+        own, labeller = {int(k): keyframes[k] for k in searched}, model.labeller(config.labels.by)
+        return cls(localizer, own, labeller, camera, config.sensor, component)
 
     def __len__(self) -> int:
         """Return the number of keyframes that images are compared with."""

@@ -8,6 +8,7 @@ places are consistent with the image, no pose is returned, since rooms can be id
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -137,6 +138,7 @@ class Localizer:
     ) -> None:
         self.params = params or LocalizationParams()
         self._sensor = sensor or SensorParams()
+        self._lock = threading.Lock()
         self._recogniser = PlaceRecogniser(
             recogniser_params, gravity_odom=gravity_odom, seed=seed, never_lost=True
         )
@@ -160,7 +162,14 @@ class Localizer:
         """Return the number of keyframes."""
         return len(self._T_map_camera)
 
-    def add(self, frame: DepthFrame, T_map_camera: Pose, T_odom_camera: Pose | None = None) -> int:
+    def add(
+        self,
+        frame: DepthFrame,
+        T_map_camera: Pose,
+        T_odom_camera: Pose | None = None,
+        *,
+        name: int | None = None,
+    ) -> int:
         """Add the next keyframe, and return its id: 0, 1, 2 ...
 
         Of an image 640 pixels wide only every fourth pixel is used; the others may be missing.
@@ -174,26 +183,28 @@ class Localizer:
         T_odom_camera
             (4, 4) pose of the keyframe by odometry, which is used to track the direction of
             gravity. The default is ``T_map_camera``.
+        name
+            The id that answers give for the keyframe, by default the one that is returned.
 
         Raises
         ------
         ValueError
             If the frame is of another camera, or a pose is not a rigid transform.
         """
-        T_odom_camera = T_map_camera if T_odom_camera is None else T_odom_camera
-        for T in (T_map_camera, T_odom_camera):
-            se3.check_rigid(T)
+        T_odom_camera = se3.checked_pose(T_map_camera if T_odom_camera is None else T_odom_camera)
+        T_map_camera = se3.checked_pose(T_map_camera)
         frame = frame.with_sensor(self._sensor)
-        keyframe_id = self._recogniser.add(frame, T_odom_camera)
-        self._registration.add(frame)
-        self._T_map_camera.append(T_map_camera)
+        with self._lock:
+            keyframe_id = self._recogniser.add(frame, T_odom_camera)
+            self._registration.add(frame, keyframe_id if name is None else name)
+            self._T_map_camera.append(T_map_camera)
         return keyframe_id
 
     @one_blas_thread()
     def localize(
         self, frame: DepthFrame, *, gravity_camera: ArrayLike | None = None
     ) -> Localization:
-        """Localise a single frame. The frame is not stored.
+        """Localise a single frame. The frame is not stored. Calls of threads wait for each other.
 
         Parameters
         ----------
@@ -209,9 +220,13 @@ class Localizer:
         ValueError
             If the frame is of another camera.
         """
+        with self._lock:  # the query is among the views for that time
+            return self._localize(frame.with_sensor(self._sensor), gravity_camera)
+
+    def _localize(self, frame: DepthFrame, gravity_camera: ArrayLike | None) -> Localization:
+        """Localise a frame."""
         if len(self) == 0:
             return Localization(reason="the map has no keyframes")
-        frame = frame.with_sensor(self._sensor)
         n_points = len(view_points(frame))
         if n_points < self.params.min_points:
             return Localization(
@@ -228,7 +243,7 @@ class Localizer:
 
     def _select_pose(self, query: _Query, matches: Sequence[PlaceMatch]) -> Localization:
         """Verify recognised matches, and return the only pose consistent with the map, if any."""
-        p = self.params
+        p, names = self.params, self._registration.names
         ids = [match.view_id for match in matches]
         guesses = np.array([match.T_match_query for match in matches])
         hypotheses, rejection = self._registration.register(query.prepared, ids, guesses)
@@ -245,7 +260,7 @@ class Localizer:
         if not consistent:
             return Localization(reason=reason)
         if len(consistent) > 1:
-            a, b = (place[0].keyframe_id for place in consistent[:2])
+            a, b = (names[place[0].keyframe_id] for place in consistent[:2])
             return Localization(
                 reason=f"{len(consistent)} places match the image, such as keyframes {a} and {b}"
             )
@@ -256,10 +271,10 @@ class Localizer:
             return Localization(reason=ambiguity)
         return Localization(
             self._refine(query, best),
-            best.keyframe_id,
+            names[best.keyframe_id],
             best.verified.overlap,
             best.verified.rmse_m,
-            tuple(sorted(h.keyframe_id for h in place if h is not best)),
+            tuple(sorted(names[h.keyframe_id] for h in place if h is not best)),
         )
 
     def _consistent_places(
@@ -273,7 +288,8 @@ class Localizer:
             T = place[0].T_map_view
             reason = self._consistency.reason_against(query.view, T)
             if reason and not first_reason:
-                first_reason = f"keyframe {place[0].keyframe_id} matches, but {reason}"
+                name = self._registration.names[place[0].keyframe_id]
+                first_reason = f"keyframe {name} matches, but {reason}"
             if reason or any(
                 are_near(T, other[0].T_map_view, p.apart_m, p.apart_rad) for other in consistent
             ):

@@ -95,7 +95,7 @@ class PerceptualAliases:
                     x, y, z = T_other_view[:3, 3]
                     return (
                         f"the image may as well be from ({x:.1f}, {y:.1f}, {z:.1f}) m, "
-                        f"where keyframe {keyframe_id} matches too"
+                        f"where keyframe {self._registration.names[keyframe_id]} matches too"
                     )
         return ""
 

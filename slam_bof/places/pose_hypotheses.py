@@ -39,10 +39,13 @@ class HypothesisRegistration:
         self._verifier = verifier
         self._T_map_camera = T_map_camera
         self._prepared: list[Any] = []
+        self.names: list[int] = []
+        """What the keyframes are called in answers: their ids in the map."""
 
-    def add(self, frame: DepthFrame) -> None:
+    def add(self, frame: DepthFrame, name: int) -> None:
         """Add the next keyframe."""
         self._prepared.append(self._prepare(frame))
+        self.names.append(name)
 
     @contextmanager
     def temporary_query(self, frame: DepthFrame) -> Iterator[Any]:
@@ -78,7 +81,7 @@ class HypothesisRegistration:
                 T_map_view = self._T_map_camera.rows[k] @ verification.T_match_query
                 hypotheses.append(PoseHypothesis(k, T_map_view, verification))
             else:
-                rejection = rejection or f"keyframe {k}: {verification.reason}"
+                rejection = rejection or f"keyframe {self.names[k]}: {verification.reason}"
         return hypotheses, rejection
 
     def _prepare(self, frame: DepthFrame) -> Any:

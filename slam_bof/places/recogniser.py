@@ -126,7 +126,7 @@ class PlaceRecogniser:
         ValueError
             If the pose is no finite rigid transform, or the frame is of another camera.
         """
-        se3.check_rigid(np.asarray(T_odom_camera))
+        T_odom_camera = se3.checked_pose(T_odom_camera)
         gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
         return self._add(frame, T_odom_camera, gravity_camera)
 
@@ -220,8 +220,17 @@ class PlaceRecogniser:
         follow
             Whether to use the matches of the last query, and to keep the best matches of this one
             for the next query. This requires that the query was added with its odometry.
+
+        Raises
+        ------
+        ValueError
+            If there are no such views.
         """
         p = self.params
+        if not (0 <= view_id < len(self) and 0 <= n_views <= len(self)):
+            raise ValueError(
+                f"found view {view_id} and {n_views} to search, expected of {len(self)} views"
+            )
         shortlist = self.retrieve(view_id, n_views, exclude=exclude)
         ids, starts = shortlist.view_ids, shortlist.starts
         if follow:

@@ -14,6 +14,8 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
+import numpy as np
+
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
 from slam_bof.run.plan import read_plan
@@ -131,18 +133,28 @@ def read_run(folder: Path) -> ReportData:
     except FileNotFoundError:
         found = "no metrics.json there" if folder.is_dir() else "no such folder"
         raise RunError(f"{folder}: found {found}, expected the folder of a finished run") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise RunError(f"{metrics}: found {error}, expected the metrics of a run") from error
     if not isinstance(figures, dict):
         raise RunError(f"{metrics}: found no object, expected the metrics of a run")
+    for key, value in figures.items():
+        if not isinstance(value, str | int | float | None):
+            raise RunError(f"{metrics}: found a list or object as {key[:80]!r}, expected a number")
+    odometry = read_tum(folder / "trajectory_odometry_tum.txt")
+    optimized = read_tum(folder / "trajectory_optimized_tum.txt")
+    if len(odometry) != len(optimized):
+        found = f"{len(odometry)} poses of odometry and {len(optimized)} optimized"
+        raise RunError(f"{folder}: found {found}, expected the same frames")
+    if not all(np.isfinite(trajectory.poses).all() for trajectory in (odometry, optimized)):
+        raise RunError(f"{folder}: found unknown poses in its trajectories, expected all of them")
     with MapStore.open(folder / "map.db") as store, store.snapshot():
         # The run may be one of several sessions of its map.
         own = [k for k in store.keyframes() if k.session == figures.get("session", 0)]
         ids = range(own[0].id, own[-1].id + 1) if own else range(0)
         return ReportData(
             metrics=figures,
-            odometry=read_tum(folder / "trajectory_odometry_tum.txt"),
-            optimized=read_tum(folder / "trajectory_optimized_tum.txt"),
+            odometry=odometry,
+            optimized=optimized,
             groundtruth=read_tum(groundtruth) if groundtruth.is_file() else None,
             keyframes=[replace(keyframe, id=keyframe.id - ids.start) for keyframe in own],
             loops=of_session(store.loops(), ids),
@@ -168,9 +180,17 @@ def rerun_command(folder: Path, store: MapStore) -> str:
 
 def _read_health(path: Path) -> list[FrameHealth]:
     """Read health.csv; empty for a run of a version that did not write it."""
-    rows = csv.DictReader(_read_if_there(path).splitlines())
-    return [FrameHealth(row["health"], int(row["n_open"])) for row in rows]
+    try:
+        rows = csv.DictReader(_read_if_there(path).splitlines())
+        return [FrameHealth(row["health"], int(row["n_open"])) for row in rows]
+    except (KeyError, TypeError, ValueError, csv.Error) as error:
+        raise RunError(
+            f"{path}: found {str(error)[:80]!r}, expected columns health, n_open"
+        ) from error
 
 
 def _read_if_there(path: Path) -> str:
-    return path.read_text(encoding="utf-8") if path.is_file() else ""
+    try:
+        return path.read_text(encoding="utf-8") if path.is_file() else ""
+    except (OSError, UnicodeDecodeError) as error:
+        raise RunError(f"{path}: found {error}, expected text") from error

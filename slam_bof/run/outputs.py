@@ -10,6 +10,7 @@ from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.core import keep_going
 from slam_bof.geometry import write_kitti, write_tum
@@ -44,12 +45,12 @@ def write_outputs(
     (folder / "metrics.json").write_text(text, encoding="utf-8")
     if record.groundtruth is not None:
         write_trajectory(folder, "groundtruth", record.groundtruth)
-    _write_health(folder / "health.csv", result.optimized, record.health)
-    _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes)
+    components = record.closer.map.components[record.closer.map.first_keyframe :]
+    _write_health(folder / "health.csv", record, components)
+    _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes, components)
     with keep_going("pose_graph.g2o", warn):
         record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
     with keep_going("map.ply", warn):
-        components = record.closer.map.components[record.closer.map.first_keyframe :]
         inside = components == largest_component(components)
         shown = [index for index, is_shown in zip(frame_indices, inside, strict=True) if is_shown]
         write_sequence_cloud(
@@ -80,13 +81,19 @@ def write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
 
 
 def _write_audit_trail(
-    path: Path, candidates: Sequence[Candidate], keyframes: Sequence[Keyframe]
+    path: Path,
+    candidates: Sequence[Candidate],
+    keyframes: Sequence[Keyframe],
+    components: NDArray[np.intp],
 ) -> None:
-    """Write one row for each pair considered; a field is empty where it was not measured."""
+    """Write one row for each pair considered; a field is empty where it was not measured.
+
+    ``component`` is that of the query in the finished map, among ``components`` (K,).
+    """
     names = [field.name for field in fields(Candidate)]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["query_stamp_s", "match_stamp_s", *names])
+        writer.writerow(["query_stamp_s", "match_stamp_s", *names, "component"])
         for candidate in candidates:
             values = [getattr(candidate, name) for name in names]
             writer.writerow(
@@ -94,18 +101,24 @@ def _write_audit_trail(
                     keyframes[candidate.query_id].stamp_s,
                     keyframes[candidate.match_id].stamp_s,
                     *("" if value != value else value for value in values),
+                    components[candidate.query_id],
                 ]
             )
 
 
-def _write_health(path: Path, frames: Trajectory, health: Sequence[FrameHealth]) -> None:
-    """Write one row for each frame: its time, how it was tracked, and its open directions."""
+def _write_health(path: Path, record: RunRecord, components: NDArray[np.intp]) -> None:
+    """Write one row for each frame: time, tracking, open directions, component of the map.
+
+    The component, that of the newest keyframe so far, is empty where tracking was lost.
+    """
+    keyframes, stamps_s = record.result.keyframes, record.result.optimized.stamps_s
+    newest = np.searchsorted([k.frame_index for k in keyframes], np.arange(len(stamps_s)), "right")
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["stamp_s", *FrameHealth._fields])
-        writer.writerows(
-            [stamp_s, *one] for stamp_s, one in zip(frames.stamps_s, health, strict=True)
-        )
+        writer.writerow(["stamp_s", *FrameHealth._fields, "component"])
+        for stamp_s, health, n in zip(stamps_s, record.health, newest, strict=True):
+            is_known = n > 0 and health.health != "lost"
+            writer.writerow([stamp_s, *health, components[n - 1] if is_known else ""])
 
 
 def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapStore) -> ReportData:

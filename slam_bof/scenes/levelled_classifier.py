@@ -18,6 +18,9 @@ from slam_bof.types import Array, Bag, DepthFrame, Scene
 
 __all__ = ["LevelledClassifier", "LevelledFeatures", "levelled_features", "room_network"]
 
+MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
+"""Least numbers that a model may divide by."""
+
 N_WORDS = 400
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
 
@@ -159,8 +162,9 @@ class LevelledClassifier:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
         if len(set(manifest["classes"])) != len(classes) or classes.dtype.kind != "U":
             raise ValueError(f"classes must be different names, got {manifest['classes']}")
-        if arrays["scale"].min() <= 0.0 or arrays["temperature"] <= 0.0:
-            raise ValueError("levels/scale and levels/temperature must be positive")
+        for name, least in (("scale", MIN_SCALE), ("temperature", MIN_TEMPERATURE)):
+            if (found := float(arrays[name].min())) < least:
+                raise ValueError(f"levels/{name}: found {found:g}, expected {least:g} or more")
         for name in NETWORK_ARRAYS:
             setattr(network, f"{name}_", arrays[name])
         network.classes_, network.n_features_in_ = classes, n_features

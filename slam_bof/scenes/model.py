@@ -69,6 +69,8 @@ INCLUDED = (DEFAULT, "synthetic")
 synthetic rooms only, which was the default before."""
 LEVELLED_ENTRIES = "levels/"
 """Prefix of the arrays of the levelled classifier."""
+MAX_WEIGHT = 1e6
+"""Largest number in an array: sums of products must stay within 32 bits."""
 
 Entries = dict[str, bytes]
 
@@ -303,6 +305,8 @@ def _array(entries: Entries, name: str) -> NDArray[Any]:
         array = parse_npy(entries[name])
         if array.dtype.kind != "f" or not array.size or not np.isfinite(array).all():
             raise ValueError(f"found {array.dtype} {array.shape}, expected finite numbers")
+        if (largest := float(np.abs(array).max())) > MAX_WEIGHT:
+            raise ValueError(f"found numbers up to {largest:g}, expected {MAX_WEIGHT:g} at most")
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
     return array

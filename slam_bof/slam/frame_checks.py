@@ -51,27 +51,27 @@ class FrameChecks:
             )
 
 
-def checked_pose(T_odom_camera: ArrayLike, frame_index: int, stamp_s: float) -> Pose:
+def checked_pose(
+    T: ArrayLike, frame_index: int, stamp_s: float, *, name: str = "T_odom_camera"
+) -> Pose:
     """Return a copy of a pose as float64 (4, 4); ``FrameError`` if it is no rigid transform."""
     try:
-        T = np.array(T_odom_camera, dtype=np.float64)
-        if T.shape == (3, 4):
-            raise ValueError("found a (3, 4) matrix, expected (4, 4): its last row is 0 0 0 1")
-        se3.check_rigid(T)
-    except (TypeError, ValueError) as error:
-        place = f"T_odom_camera of frame {frame_index}, at {stamp_s} s"
-        raise FrameError(f"{place}: {error}") from None
-    T[3] = se3.LAST_ROW
-    return T
+        return se3.checked_pose(T)
+    except ValueError as error:
+        raise FrameError(f"{name} of frame {frame_index}, at {stamp_s} s: {error}") from None
 
 
 def rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
     """Check a covariance in the order of ``nav_msgs/Odometry``; return it with rotation first."""
-    found = np.asarray(covariance, dtype=np.float64)
     place = f"covariance of frame {frame_index}"
-    if found.size != 36:
-        raise FrameError(f"{place}: found an array {found.shape}, expected (6, 6)")
-    found = found.reshape(6, 6)
+    try:
+        found = np.asarray(covariance)
+    except ValueError as error:
+        raise FrameError(f"{place}: {error}") from None
+    if found.size != 36 or found.dtype.kind not in "fiu":
+        kind = f"an array {found.shape}" if found.dtype.kind in "fiu" else f"{found.dtype}"
+        raise FrameError(f"{place}: found {kind}, expected (6, 6) numbers")
+    found = found.reshape(6, 6).astype(np.float64)
     if not np.isfinite(found).all() or np.abs(found - found.T).max() > 1e-6 * np.abs(found).max():
         raise FrameError(f"{place}: expected 36 finite numbers, symmetric")
     if np.linalg.eigvalsh(found)[0] < -1e-9 * max(float(np.trace(found)), 1e-30):

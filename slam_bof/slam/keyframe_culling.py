@@ -56,6 +56,12 @@ class MapParams(Params):
         gt=0,
         description="Number of edges of a keyframe up to which it inherits those of removed ones.",
     )
+    max_memory_mb: float | None = Field(
+        None,
+        gt=0,
+        description="Memory of the process, in MB, from which new keyframes are not searched for "
+        "loops any more, nor kept to be found; null is nine tenths of the memory of the machine.",
+    )
 
 
 class KeyframeCulling:

@@ -29,6 +29,7 @@ from slam_bof.ports import Backend
 from slam_bof.scenes import SceneFilter, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_culling import KeyframeCulling
+from slam_bof.slam.memory_limit import MemoryLimit
 from slam_bof.slam.pose_graph import MapGraph
 from slam_bof.types import (
     Array,
@@ -106,6 +107,7 @@ class KeyframeMap:
             max_angle_rad=consistency.max_angle_rad,
         )
         self._can_cull = config.map.cull and config.loops.by == "views" and self.graph.can_cull
+        self._memory_limit = MemoryLimit(config.map.max_memory_mb)
         self._clock = clock
 
     def __len__(self) -> int:
@@ -223,15 +225,20 @@ class KeyframeMap:
     def add(self, keyframe: Keyframe, frame: DepthFrame) -> Verified:
         """Add the newest keyframe; return the decisions about its loop candidates."""
         frame = frame.with_sensor(self._config.sensor)
+        is_full = self._memory_limit.is_reached()
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
-            found = self._detector.find(keyframe, frame)
+            found = self._detector.find(keyframe, frame, search=not is_full)
         self.graph.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
             proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
             T_map_camera, components = self.graph.T_map_camera, self.graph.components.in_use()
-            covisible = self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
+            covisible = (
+                []
+                if is_full
+                else self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
+            )
             self._verification.add(frame, points)
             verified = self._verification.verify(
                 found.candidates + covisible,
@@ -241,7 +248,10 @@ class KeyframeMap:
                 guesses=found.guesses,
             )
         self._add_loops(verified.admitted)
-        if self._can_cull:
+        if is_full:
+            self._detector.remove([keyframe.id])
+            self._verification.remove([keyframe.id])
+        elif self._can_cull:
             self._culling.undecided.append(keyframe.id)
         return verified
 

@@ -202,6 +202,9 @@ class LoopCloser:
         frame_index = len(self.history)
         step_covariance = None if covariance is None else rotation_first(covariance, frame_index)
         T_odom_camera = checked_pose(T_odom_camera, frame_index, frame.stamp_s)
+        if T_view_camera is not None:
+            name = "T_view_camera"
+            T_view_camera = checked_pose(T_view_camera, frame_index, frame.stamp_s, name=name)
         frame = self._checks.check(frame, self.history.last_stamp_s)
         frame = quantize_depth(frame.corrected(self.sensor))
         with self._clock.stage("track"):

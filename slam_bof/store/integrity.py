@@ -67,6 +67,7 @@ def check_map(path: Path | str) -> list[Damage]:
         with as_map_errors(Path(path)):
             found += _check_references(store, {(damage.table, damage.row) for damage in found})
         if not found:
+            store.is_checked = True
             found += _unreadable(store)
         return found
 

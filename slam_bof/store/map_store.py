@@ -33,6 +33,8 @@ from slam_bof.store.row_codec import (
     decode_loop,
     decode_pose,
     decode_region,
+    decode_scene,
+    decode_smoothed_scene,
     decode_view,
     encode_candidate,
     encode_edge,
@@ -113,6 +115,8 @@ class MapStore(MapDatabase):
     """
 
     _classes: tuple[str, ...] | None = None
+    is_checked: bool = False
+    """Whether all rows of the present snapshot were checked, so that readers need not do it."""
 
     def begin_session(self, session: Session) -> None:
         """Save the session that the next keyframes belong to; ``ValueError`` if its id is taken."""
@@ -168,7 +172,8 @@ class MapStore(MapDatabase):
             raise ValueError(f"smoothed must have {n} labels, got {len(result.smoothed)}")
         ((n_frames,),) = self.select(
             "SELECT count(*) FROM frames JOIN (SELECT coalesce(max(frame_index), -1) AS last"
-            " FROM keyframes WHERE session = ?1) WHERE session = ?1 AND frame_index <= last",
+            " FROM keyframes WHERE session = ?) WHERE session = ? AND frame_index <= last",
+            session_id,
             session_id,
         )
         region_by_id = {id_: region.id for region in result.regions for id_ in region.keyframe_ids}
@@ -264,14 +269,20 @@ class MapStore(MapDatabase):
 
     def decode(self, row: Any) -> Keyframe:
         """Return the keyframe in a row of ``keyframes``."""
-        keyframe = decode_keyframe(row, self.classes())
-        for scene in (keyframe.scene, keyframe.smoothed):
-            if scene is not None and len(scene.probabilities) != len(scene.classes):
+        self.scene(row)
+        return decode_keyframe(row, self.classes())
+
+    def scene(self, row: Any) -> Scene | None:
+        """Return the label of the image alone in a row of ``keyframes``, None if it has none."""
+        classes = self.classes()
+        own, smoothed = decode_scene(row, classes), decode_smoothed_scene(row, classes)
+        for scene in (own, smoothed):
+            if scene is not None and len(scene.probabilities) != len(classes):
                 raise self._damage(
-                    f"{len(scene.probabilities)} probabilities of keyframe {keyframe.id}",
-                    f"one for each class: {', '.join(scene.classes)}",
+                    f"{len(scene.probabilities)} probabilities of keyframe {row['id']}",
+                    f"one for each class: {', '.join(classes)}",
                 )
-        return keyframe
+        return own
 
     def map_poses(self) -> Array:
         """Return T_map_camera of all keyframes, (K, 4, 4), NaN before their session is finished."""
@@ -347,7 +358,7 @@ class MapStore(MapDatabase):
             If a row is damaged or implausible; the first one is named.
         """
         rows = self.select(f"SELECT * FROM {table} {tail}", *values)
-        for row in rows:
+        for row in () if self.is_checked else rows:
             if fault := find_fault(table, row):
                 raise MapError(
                     f"{self.path}: found a damaged row of {table}, {row[KEY_COLUMNS[table]]}, "
@@ -408,7 +419,7 @@ class MapStore(MapDatabase):
             )
             if found.rowcount != 1:
                 raise ValueError(f"{self.path}: loop {pair} is not a candidate of the map")
-        update_checksums(db, "candidates", "query_id = ?1 OR admitted_by = ?1", id_)
+        update_checksums(db, "candidates", "query_id = ? OR admitted_by = ?", id_, id_)
 
     def _keep_constant(self, db: sqlite3.Connection, key: str, value: object) -> None:
         """Save a parameter that all keyframes share; ``ValueError`` if its value differs."""

@@ -14,7 +14,7 @@ from slam_bof.scenes import UNKNOWN_LABEL, MapRoom
 from slam_bof.store.map_components import choose_component, join_rows
 from slam_bof.store.map_store import MapStore
 from slam_bof.store.schema import POSE_COLUMNS
-from slam_bof.types import EdgeKind, Keyframe
+from slam_bof.types import EdgeKind, Scene
 
 __all__ = [
     "KeyframeInfo",
@@ -140,7 +140,7 @@ def query_keyframes(
         first_frames = {session.id: session.first_frame for session in store.sessions()}
         records = [
             _keyframe_info(
-                store.decode(row),
+                store.scene(row),
                 row,
                 first_frame=first_frames[row["session"]],
                 n_loops=n_loops[row["id"]],
@@ -188,11 +188,11 @@ def query_loops(
 
     They are those of the pose graph, or all pairs that were ``considered``, whatever the decision.
     """
-    tail = "WHERE kind = 'loop' AND (?1 IS NULL OR ?1 IN (query_id, match_id))"
-    tail += " AND (?2 OR (decision = 'accepted' AND loop_id IS NOT NULL))"
+    tail = "WHERE kind = 'loop' AND (? IS NULL OR ? IN (query_id, match_id))"
+    tail += " AND (? OR (decision = 'accepted' AND loop_id IS NOT NULL))"
     tail += " ORDER BY loop_id IS NULL, loop_id, id"
     with store.snapshot():
-        rows = store.candidate_rows(tail, keyframe_id, considered)
+        rows = store.candidate_rows(tail, keyframe_id, keyframe_id, considered)
         keyframes = store.keyframe_rows()
         components = join_rows(keyframes, store.loop_rows())
     stamps_s = [row["stamp_s"] for row in keyframes]
@@ -233,7 +233,7 @@ def _has_label(row: Any, scene: str | None, min_probability: float, labels: Labe
 
 
 def _keyframe_info(
-    keyframe: Keyframe,
+    scene: Scene | None,
     row: Any,
     *,
     first_frame: int,
@@ -245,8 +245,8 @@ def _keyframe_info(
     frame = "odom" if row["map_tx"] is None else "map"
     translation_m, quaternion_xyzw = _pose(row, f"{frame}_")
     probabilities: dict[str, float] = {}
-    if (label := keyframe.scene) is not None:
-        pairs = zip(label.classes, label.probabilities.tolist(), strict=True)
+    if scene is not None:
+        pairs = zip(scene.classes, scene.probabilities.tolist(), strict=True)
         probabilities = dict(sorted(pairs, key=lambda pair: -pair[1]))
     return KeyframeInfo(
         id=row["id"],

@@ -10,23 +10,24 @@ import json
 import math
 import sqlite3
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from functools import cache
-from typing import Any, cast
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
 from slam_bof.geometry import se3
 from slam_bof.store.schema import POSE_COLUMNS, SMOOTHED_COLUMNS, TABLES
 from slam_bof.store.sqlite import is_intact
-from slam_bof.types import Array, CandidateSource, Decision, EdgeKind, Intrinsics
+from slam_bof.types import CandidateSource, Decision, EdgeKind, Intrinsics
 
 __all__ = ["CHECKSUM_DIFFERS", "POSE_BYTES", "find_fault"]
 
 CHECKSUM_DIFFERS = "differs from what was written (checksum)"
-POSE = struct.Struct("<12d")
-POSE_BYTES, MATRIX_BYTES = POSE.size, 36 * 8
+POSE, MATRIX = struct.Struct("<12d"), struct.Struct("<36d")
+POSE_BYTES, MATRIX_BYTES = POSE.size, MATRIX.size
 """Sizes of a pose (3, 4), and of an information or covariance matrix (6, 6)."""
 MAX_SESSIONS = 100_000
 MAX_NUMBER = 1e18
@@ -39,10 +40,14 @@ SUM_TOLERANCE = 1e-3
 """Largest deviation of a sum of probabilities, or of the square of a quaternion, from 1."""
 
 EDGE_COLUMNS = (*POSE_COLUMNS, "information")
-MAP_COLUMNS = tuple(f"map_{name}" for name in POSE_COLUMNS)
+ODOM_COLUMNS, MAP_COLUMNS = (
+    tuple(f"{prefix}_{name}" for name in POSE_COLUMNS) for prefix in ("odom", "map")
+)
+FRAME_POSES = ("T_odom_raw", "T_odom_camera", "T_view_camera")
 SCENE_COLUMNS = (("scene", "scene_probability", "probabilities"), tuple(SMOOTHED_COLUMNS)[:3])
 
-Row = Any
+Row = tuple[Any, ...]
+"""The values of a row, in the order of its table's columns."""
 TYPES = {"INTEGER": (int,), "REAL": (float, int), "TEXT": (str,), "BLOB": (bytes,)}
 
 
@@ -50,12 +55,13 @@ class _Fault(ValueError):
     """What is wrong with a row."""
 
 
-def find_fault(table: str, row: Row) -> str:
+def find_fault(table: str, row: Any) -> str:
     """Return what is wrong with a row of a table, all of whose columns it has; "" if nothing."""
-    if not is_intact(row):
+    values = tuple(row)
+    if not is_intact(values):
         return CHECKSUM_DIFFERS
     try:
-        _check(table, row)
+        _check(table, values)
     except _Fault as fault:
         return str(fault)
     return ""
@@ -63,16 +69,23 @@ def find_fault(table: str, row: Row) -> str:
 
 def _check(table: str, row: Row) -> None:
     """Raise ``_Fault`` for the first implausible value of an intact row."""
-    values = tuple(row)
-    wrong, numbers, texts = _inspect_types(table, tuple(map(type, values)))
+    wrong, numbers, texts = _inspect_types(table, tuple(map(type, row)))
     _expect(not wrong, wrong)
     for k in numbers:
-        if not -MAX_NUMBER < values[k] < MAX_NUMBER:
-            _expect(row.keys()[k] in UNBOUNDED and not math.isnan(values[k]), row.keys()[k])
+        if not -MAX_NUMBER < row[k] < MAX_NUMBER:
+            name = _columns(table)[k][0]
+            _expect(name in UNBOUNDED and not math.isnan(row[k]), name)
     for k in texts:
-        if not (len(values[k]) < MAX_TEXT and _is_unicode(values[k])):
-            _expect(False, row.keys()[k])
+        if not (len(row[k]) < MAX_TEXT and _is_unicode(row[k])):
+            _expect(False, _columns(table)[k][0])
     CHECKS[table](row)
+
+
+@cache
+def _pick(table: str, *names: str) -> Callable[[Row], Any]:
+    """Return a function that picks columns from a row: the value of one, or those of several."""
+    columns = [name for name, *_ in _columns(table)]
+    return itemgetter(*map(columns.index, names))
 
 
 @cache
@@ -101,36 +114,44 @@ def _columns(table: str) -> list[tuple[str, str, bool]]:
 
 
 def _check_keyframe(row: Row) -> None:
-    _expect(min(row["id"], row["session"], row["frame_index"], row["segment"]) >= 0, "id")
-    _expect(row["session"] < MAX_SESSIONS, "session")
-    _check_pose(row, "odom_")
-    if _is_given(row, MAP_COLUMNS):
-        _check_pose(row, "map_")
+    counts = _pick("keyframes", "id", "session", "frame_index", "segment")(row)
+    _expect(min(counts) >= 0, "id")
+    _expect(counts[1] < MAX_SESSIONS, "session")
+    _check_pose(_pick("keyframes", *ODOM_COLUMNS)(row), "odom_")
+    T_map_camera = _pick("keyframes", *MAP_COLUMNS)(row)
+    if _is_given(T_map_camera, MAP_COLUMNS[0]):
+        _check_pose(T_map_camera, "map_")
     for columns in SCENE_COLUMNS:
-        if _is_given(row, columns):
-            _check_probability(row, columns[1])
-            probabilities = _numbers(row, columns[2], "<f8")
-            total = float(probabilities.sum())
-            _expect(probabilities.size > 0 and probabilities.min() >= 0.0, columns[2])
-            _expect(abs(total - 1.0) < SUM_TOLERANCE, columns[2])
-    words, weights = _numbers(row, "words", "<i4"), _numbers(row, "weights", "<f4")
-    _expect(words.shape == weights.shape, "words")
+        scene = _pick("keyframes", *columns)(row)
+        if _is_given(scene, columns[0]):
+            _, probability, blob = scene
+            _check_probability(probability, columns[1])
+            n, rest = divmod(len(blob), 8)
+            _expect(n > 0 and not rest, columns[2])
+            probabilities = struct.unpack(f"<{n}d", blob)  # few: faster than an array
+            is_one = abs(sum(probabilities) - 1.0) < SUM_TOLERANCE  # also: none is NaN
+            _expect(is_one and min(probabilities) >= 0.0, columns[2])
+    blobs = _pick("keyframes", "words", "weights")(row)
+    _expect(len(blobs[0]) == len(blobs[1]) and len(blobs[0]) % 4 == 0, "words")
+    words, weights = np.frombuffer(blobs[0], "<i4"), np.frombuffer(blobs[1], "<f4")
     if words.size:
-        _expect(words[0] >= 0 and (np.diff(words) > 0).all(), "words")
-        _expect(weights.min() >= 0.0, "weights")
+        _expect(words[0] >= 0 and (words[1:] > words[:-1]).all(), "words")
+        _expect(weights.min() >= 0.0 and weights.max() < math.inf, "weights")
 
 
 def _check_view(row: Row) -> None:
-    _expect(row["keyframe_id"] >= 0, "keyframe_id")
-    _expect(1 <= row["per_m"] <= 65535, "per_m")
+    keyframe_id, per_m = _pick("views", "keyframe_id", "per_m")(row)
+    _expect(keyframe_id >= 0, "keyframe_id")
+    _expect(1 <= per_m <= 65535, "per_m")
 
 
 def _check_frame(row: Row) -> None:
-    _expect(min(row["session"], row["frame_index"]) >= 0 and row["segment"] >= -1, "segment")
-    for name in ("T_odom_raw", "T_odom_camera", "T_view_camera"):
-        if row[name] is None:
+    session, frame_index, segment = _pick("frames", "session", "frame_index", "segment")(row)
+    _expect(session >= 0 and frame_index >= 0 and segment >= -1, "segment")
+    for name, blob in zip(FRAME_POSES, _pick("frames", *FRAME_POSES)(row), strict=True):
+        if blob is None:
             continue
-        pose, more = row[name][:POSE_BYTES], row[name][POSE_BYTES:]
+        pose, more = blob[:POSE_BYTES], blob[POSE_BYTES:]
         _expect(len(pose) == POSE_BYTES and _is_rigid(*POSE.unpack(pose)), name)
         if more:
             _expect(name == "T_odom_camera", name)
@@ -138,40 +159,49 @@ def _check_frame(row: Row) -> None:
 
 
 def _check_candidate(row: Row) -> None:
-    _expect(min(row["query_id"], row["match_id"], row["n_consistent"]) >= 0, "query_id")
-    for name, known in (("source", SOURCES), ("kind", KINDS), ("decision", DECISIONS)):
-        _expect(row[name] in known, name)
-    if _is_given(row, EDGE_COLUMNS):
-        _check_pose(row, "")
-        _check_matrix(row["information"], "information")
+    query_id, match_id, n = _pick("candidates", "query_id", "match_id", "n_consistent")(row)
+    _expect(query_id >= 0 and match_id >= 0 and n >= 0, "query_id")
+    source, kind, decision = _pick("candidates", "source", "kind", "decision")(row)
+    _expect(source in SOURCES, "source")
+    _expect(kind in KINDS, "kind")
+    _expect(decision in DECISIONS, "decision")
+    loop_id, admitted_by = _pick("candidates", "loop_id", "admitted_by")(row)
+    edge = _pick("candidates", *EDGE_COLUMNS)(row)
+    if _is_given(edge, EDGE_COLUMNS[0]):
+        _check_pose(edge[:-1], "")
+        _check_matrix(edge[-1], "information")
     else:
-        _expect(row["loop_id"] is None, "loop_id")
-    _expect((row["loop_id"] is None) == (row["admitted_by"] is None), "admitted_by")
+        _expect(loop_id is None, "loop_id")
+    _expect((loop_id is None) == (admitted_by is None), "admitted_by")
 
 
 def _check_culled(row: Row) -> None:
-    _expect(0 <= row["anchor_id"] < row["keyframe_id"] < row["culled_by"], "anchor_id")
+    keyframe, anchor, culled_by = _pick("culled", "keyframe_id", "anchor_id", "culled_by")(row)
+    _expect(0 <= anchor < keyframe < culled_by, "anchor_id")
 
 
 def _check_region(row: Row) -> None:
-    _check_probability(row, "probability")
-    _expect(min(row["id"], row["n_keyframes"]) >= 0, "n_keyframes")
+    id_, n_keyframes, probability = _pick("regions", "id", "n_keyframes", "probability")(row)
+    _check_probability(probability, "probability")
+    _expect(min(id_, n_keyframes) >= 0, "n_keyframes")
 
 
 def _check_session(row: Row) -> None:
-    _expect(0 <= row["id"] < MAX_SESSIONS and row["seed"] >= 0, "id")
-    _expect(row["max_frames"] is None or row["max_frames"] > 0, "max_frames")
-    if row["state"] is not None:
-        _expect(isinstance(_json(row["state"], "state"), dict), "state")
+    names = ("id", "seed", "max_frames", "state")
+    id_, seed, max_frames, state = _pick("sessions", *names)(row)
+    _expect(0 <= id_ < MAX_SESSIONS and seed >= 0, "id")
+    _expect(max_frames is None or max_frames > 0, "max_frames")
+    if state is not None:
+        _expect(isinstance(_json(state, "state"), dict), "state")
 
 
 def _check_parameter(row: Row) -> None:
-    key, value = row["key"], row["value"]
+    key, value = _pick("parameters", "key", "value")(row)
     if key == "camera":
         camera = _json(value, key)
         try:
             Intrinsics(**camera)
-        except (TypeError, ValueError, OverflowError) as error:
+        except (TypeError, ValueError) as error:
             raise _Fault(f"{error}; found {value[:120]}, expected a camera") from error
     elif key == "classes":
         classes = _json(value, key)
@@ -209,15 +239,15 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def _is_given(row: Row, names: Sequence[str]) -> bool:
+def _is_given(values: Row, name: str) -> bool:
     """Return whether columns have values, all of them or none."""
-    missing = [row[name] is None for name in names]
-    _expect(len(set(missing)) == 1, names[0])
-    return not missing[0]
+    n_missing = values.count(None)
+    _expect(n_missing in (0, len(values)), name)
+    return n_missing == 0
 
 
-def _check_pose(row: Row, prefix: str) -> None:
-    tx, ty, tz, qx, qy, qz, qw = (row[prefix + name] for name in POSE_COLUMNS)
+def _check_pose(pose: Row, prefix: str) -> None:
+    tx, ty, tz, qx, qy, qz, qw = pose
     _expect(max(abs(tx), abs(ty), abs(tz)) < se3.MAX_POSITION_M, f"{prefix}tx")
     square = qx * qx + qy * qy + qz * qz + qw * qw
     _expect(abs(square - 1.0) < SUM_TOLERANCE, f"{prefix}qx")
@@ -240,25 +270,15 @@ def _is_rigid(  # in plain Python: NumPy takes ten times as long for nine number
     )
 
 
-def _check_probability(row: Row, name: str) -> None:
-    _expect(0.0 <= row[name] <= 1.0 + SUM_TOLERANCE, name)
+def _check_probability(probability: float, name: str) -> None:
+    _expect(0.0 <= probability <= 1.0 + SUM_TOLERANCE, name)
 
 
 def _check_matrix(blob: bytes, name: str) -> None:
     """Check an information or covariance matrix (6, 6): finite, no negative variance."""
     _expect(len(blob) == MATRIX_BYTES, name)
-    matrix = np.frombuffer(blob, "<f8")
-    _expect(-MAX_NUMBER < matrix.sum() < MAX_NUMBER, name)
-    _expect(matrix[::7].min() >= 0.0, name)
-
-
-def _numbers(row: Row, name: str, dtype: str) -> Array:
-    """Return the finite numbers of a blob."""
-    blob = row[name]
-    _expect(len(blob) % np.dtype(dtype).itemsize == 0, name)
-    numbers = np.frombuffer(blob, dtype)
-    _expect(np.isfinite(numbers).all(), name)
-    return cast(Array, numbers)
+    matrix = MATRIX.unpack(blob)
+    _expect(-MAX_NUMBER < sum(matrix) < MAX_NUMBER and min(matrix[::7]) >= 0.0, name)
 
 
 def _json(text: str, name: str) -> Any:

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from slam_bof.core import decode_image
 from slam_bof.geometry import se3, view_stride
 from slam_bof.scenes import MapRoom
 from slam_bof.store.row_checks import POSE_BYTES
@@ -170,7 +171,7 @@ def decode_view(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     # The header is read first: a few bytes may stand for an image of gigabytes.
     if row["depth"][16:24] != struct.pack(">2I", *size):
         return None
-    depth = cv2.imdecode(np.frombuffer(row["depth"], np.uint8), cv2.IMREAD_UNCHANGED)
+    depth = decode_image(row["depth"])
     if depth is None or depth.dtype != np.uint16 or depth.shape != size[::-1]:
         return None
     return SubsampledDepth(np.asarray(depth, np.uint16), row["per_m"], camera)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sqlite3
 import struct
+import sys
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -71,12 +72,14 @@ def prepare(db: sqlite3.Connection) -> None:
     """Make rows indexable by column name and ``row_crc`` callable from SQL.
 
     The file may come from anybody: its views and indices may call no functions with side effects,
-    and its values have a largest size.
+    its values have a largest size, and no statement may damage the file (from Python 3.12 on).
     """
     db.row_factory = sqlite3.Row
     db.create_function("row_crc", -1, row_crc, deterministic=True)
     db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_VALUE_BYTES)
     db.execute("PRAGMA trusted_schema = OFF")
+    if sys.version_info >= (3, 12):
+        db.setconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE)
 
 
 def row_crc(*values: float | str | bytes | None) -> int:
@@ -98,8 +101,7 @@ def row_crc(*values: float | str | bytes | None) -> int:
 
 def is_intact(values: Sequence[Any]) -> bool:
     """Return whether a row's last value, its ``crc``, is the checksum of the values before it."""
-    *content, crc = values
-    return bool(row_crc(*content) == crc)
+    return bool(row_crc(*values[:-1]) == values[-1])
 
 
 def update_checksums(

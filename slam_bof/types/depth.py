@@ -32,6 +32,8 @@ MAX_FOCAL = 100.0
 """Largest plausible focal length, likewise: a field of view of 0.6 degrees."""
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
+MAX_DEPTH_M = 1e12
+"""Metres beyond this are none, in no unit that was taken for metres."""
 MAX_PIXELS = 1 << 24
 """Largest plausible number of pixels of a depth image; depth cameras have up to some 5 million."""
 SAME_CAMERA = 0.005
@@ -95,10 +97,15 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         """Convert all numbers to plain ones, and check that they are plausible."""
-        for name in ("width", "height"):
-            object.__setattr__(self, name, operator.index(getattr(self, name)))
-        for name in ("fx", "fy", "cx", "cy"):
-            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in self.__slots__:
+            is_size, value = name in ("width", "height"), getattr(self, name)
+            try:
+                plain = operator.index(value) if is_size else float(value)
+                float(plain)  # which no width or height of hundreds of digits is
+            except (TypeError, ValueError, OverflowError):
+                expected = "a whole number of pixels" if is_size else "a number"
+                raise ValueError(f"found {name} = {value!r:.40}, expected {expected}") from None
+            object.__setattr__(self, name, plain)
         if min(self.width, self.height) < 1:
             raise ValueError(f"found an image of {self.width}x{self.height} pixels, expected some")
         if self.width * self.height > MAX_PIXELS:
@@ -148,7 +155,7 @@ class DepthFrame:
         Time in seconds, on any clock that increases.
     depth
         (H, W) depth, either uint16 in millimetres (0 and 65535 mean missing) or float in metres
-        (0, negative and non-finite values mean missing).
+        (0, negative and non-finite values, and those beyond 1e12, mean missing).
     intrinsics
         Intrinsics of the depth camera for this image size.
     sensor
@@ -221,7 +228,7 @@ class DepthFrame:
             metres = depth * np.float32(0.001)
             metres[depth == INVALID_DEPTH_MM] = 0.0
             return metres
-        valid = np.isfinite(depth) & (depth > 0)
+        valid = (depth > 0) & (depth <= MAX_DEPTH_M)
         return np.where(valid, depth, 0.0).astype(np.float32)
 
 

@@ -44,6 +44,13 @@ class Trajectory:
 
     def __post_init__(self) -> None:
         """Check that there is one pose per time stamp."""
+        for name in ("stamps_s", "poses"):
+            found = getattr(self, name)
+            if not isinstance(found, np.ndarray) or found.dtype.kind not in "fiu":
+                kind = getattr(found, "dtype", type(found).__name__)
+                raise ValueError(f"{name} must be an array of numbers, got {kind}")
+        if self.stamps_s.ndim != 1:
+            raise ValueError(f"stamps_s must be (N,), got {self.stamps_s.shape}")
         if self.poses.shape != (len(self.stamps_s), 4, 4):
             raise ValueError(f"poses must be ({len(self.stamps_s)}, 4, 4), got {self.poses.shape}")
 

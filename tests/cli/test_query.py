@@ -119,6 +119,10 @@ def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path)
         refusal("query", image, "--model", trained)
     )
     own = ("--intrinsics", 146.25, 146.25, 80, 60)
+    assert "wide.png: found no intrinsics.json beside it, expected --depth-scale" in (
+        refusal("query", image, "--model", trained, *own)
+    )
+    own = (*own, *MILLIMETRES)
     answer = json.loads(slam_bof("query", image, "--model", trained, *own, "--json").stdout)
     assert set(answer["probabilities"]) == {"narrow", "wide"}
     assert answer["label"] == max(answer["probabilities"], key=answer["probabilities"].get)
@@ -126,7 +130,7 @@ def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path)
     table = slam_bof("query", image, "--model", trained, *own).stdout
     assert "(intrinsics 146.25 146.25 80 60: as given" in table
 
-    given = ("--intrinsics", 200, 201, 80, 60)
+    given = ("--intrinsics", 200, 201, 80, 60, *MILLIMETRES)
     answer = json.loads(slam_bof("query", image, "--model", trained, *given, "--json").stdout)
     assert (answer["intrinsics"]["fy"], answer["intrinsics_from"]) == (201.0, "as given")
     beside = tmp_path / "wide.png"
@@ -137,12 +141,21 @@ def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path)
     assert answer["intrinsics"]["fx"] == 150.0
     assert answer["intrinsics_from"] == f"from {tmp_path / 'intrinsics.json'}"
 
+    depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+    cv2.imwrite(str(beside), 5 * depth)
+    (tmp_path / "intrinsics.json").write_text(json.dumps({**camera, "depth_scale": 5000}))
+    fifths = json.loads(slam_bof("query", beside, "--model", trained, *own[:5], "--json").stdout)
+    whole = json.loads(slam_bof("query", image, "--model", trained, *own, "--json").stdout)
+    assert fifths["probabilities"] == pytest.approx(whole["probabilities"], abs=0.02)
 
+
+MILLIMETRES = ("--depth-scale", 1000)
 OWN = ("--intrinsics", 146.25, 146.25, 80, 60)
 
 
 def test_too_little_is_unknown(two_kinds: Path) -> None:
-    ask = ("query", two_kinds / "wide.png", "--model", two_kinds / "two.bof", *OWN, "--json")
+    trained = ("--model", two_kinds / "two.bof", *OWN, *MILLIMETRES)
+    ask = ("query", two_kinds / "wide.png", *trained, "--json")
     answer = json.loads(slam_bof(*ask, "--min-probability", 1.0).stdout)
     assert answer["label"] == "unknown"
 
@@ -152,14 +165,15 @@ def test_units_of_the_image_can_be_given(two_kinds: Path, tmp_path: Path) -> Non
     cv2.imwrite(str(tmp_path / "fifths.png"), 5 * depth)
     np.save(tmp_path / "metres.npy", (depth / 1000.0).astype(np.float32))
     trained = ("--model", two_kinds / "two.bof", *OWN, "--json")
-    expected = json.loads(slam_bof("query", two_kinds / "wide.png", *trained).stdout)
+    plain = slam_bof("query", two_kinds / "wide.png", *trained, *MILLIMETRES)
+    expected = json.loads(plain.stdout)
     for name, extra in (("fifths.png", ("--depth-scale", 5000)), ("metres.npy", ())):
         answer = json.loads(slam_bof("query", tmp_path / name, *trained, *extra).stdout)
         assert answer["probabilities"] == pytest.approx(expected["probabilities"], abs=0.02), name
 
 
 def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
-    trained = ("--model", two_kinds / "two.bof", *OWN)
+    trained = ("--model", two_kinds / "two.bof", *OWN, *MILLIMETRES)
     assert "none.png: found no such file" in refusal("query", tmp_path / "none.png", *trained)
     cv2.imwrite(str(tmp_path / "color.png"), np.zeros((4, 5, 3), np.uint8))
     assert "found an image 4x5x3 of uint8, expected one channel of uint16" in refusal(

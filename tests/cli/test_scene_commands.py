@@ -93,8 +93,8 @@ def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path
     assert trained.bag_classifier.classifier == "naive-bayes"
     assert trained.levelled_classifier is None
     picture = next((boxes / "hall" / "seq-01").glob("*.png"))
-    intrinsics = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy)
-    answer = slam_bof("query", picture, "--model", out, "--intrinsics", *intrinsics, "--json")
+    given = ("--intrinsics", CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, "--depth-scale", 1000)
+    answer = slam_bof("query", picture, "--model", out, *given, "--json")
     assert set(json.loads(answer.stdout)["probabilities"]) == set(SIZES_M)
 
 

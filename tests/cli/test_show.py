@@ -60,7 +60,7 @@ def test_what_corresponds_in_two_frames_is_drawn(turn: Path, tmp_path: Path) -> 
 def test_images_are_drawn_as_well_and_mistakes_named(turn: Path, tmp_path: Path) -> None:
     first, second, _ = sorted(turn.glob("*.depth.png"))
     out = tmp_path / "image.svg"
-    camera = ("--intrinsics", 585, 585, 320, 240)
+    camera = ("--intrinsics", 585, 585, 320, 240, "--depth-scale", 1000)
     assert show(first, "--match", second, *camera, "-o", out, "-q").exit_code == 0
     assert any("pairs agree" in text for text in texts(out))
     dark = tmp_path / "dark.png"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -20,10 +22,36 @@ def test_a_scene_is_downloaded_once(server: Server, tmp_path: Path) -> None:
     server.files["chess.zip"] = CHESS
     (found,) = download("7scenes", "chess", tmp_path, base_url=f"{server.url}/")
     assert (found.folder, found.was_there) == (tmp_path / "7scenes" / "chess", False)
-    assert tree(tmp_path / "7scenes") == UNPACKED
+    sums = f"{hashlib.sha256(CHESS).hexdigest()}  chess.zip\n"
+    assert tree(tmp_path / "7scenes") == UNPACKED | {"SHA256SUMS": sums.encode()}
     (again,) = download("7scenes", "chess", tmp_path, base_url=server.url)
     assert again.was_there
     assert len(server.asked) == 1
+
+
+def test_an_archive_that_has_changed_is_refused(server: Server, tmp_path: Path) -> None:
+    """The sum of the first download counts; a damaged one is not recorded."""
+    server.files["chess.zip"] = CHESS[:300]
+    with pytest.raises(DatasetError, match=r"\.bad"):
+        download("7scenes", "chess", tmp_path, base_url=server.url)
+    assert not (tmp_path / "7scenes" / "SHA256SUMS").exists()
+    server.files["chess.zip"] = CHESS
+    (found,) = download("7scenes", "chess", tmp_path, base_url=server.url)
+    shutil.rmtree(found.folder)
+    server.files["chess.zip"] = other = zipped({"chess/seq-01/frame-000000.depth.png": b"another"})
+    with pytest.raises(DatasetError) as caught:
+        download("7scenes", "chess", tmp_path, base_url=server.url)
+    sums = [hashlib.sha256(data).hexdigest() for data in (other, CHESS)]
+    assert "chess.zip: found SHA-256 {}, expected {} as SHA256SUMS has it".format(*sums) in str(
+        caught.value
+    )
+    assert not found.folder.exists()
+    (tmp_path / "7scenes" / "SHA256SUMS").write_text("# trusted\n")
+    (found,) = download("7scenes", "chess", tmp_path, base_url=server.url)
+    assert found.folder.is_dir()
+    assert (tmp_path / "7scenes" / "SHA256SUMS").read_text() == (
+        f"# trusted\n{sums[0]}  chess.zip\n"
+    )
 
 
 def test_the_archive_is_kept_on_demand_and_used_again(server: Server, tmp_path: Path) -> None:

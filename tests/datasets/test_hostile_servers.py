@@ -113,7 +113,8 @@ def test_a_length_that_is_none_is_refused(tmp_path: Path, length: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "target", ["ftp://a/b", "file:///etc/passwd", "http://[", "gopher:x\x1b[1m"]
+    "target",
+    ["ftp://a/b", "file:///etc/passwd", "http://[", "gopher:x\x1b[1m", f"http://[::1]:{'9' * 30}/"],
 )
 def test_a_redirect_to_something_else_is_refused(tmp_path: Path, target: str) -> None:
     def answer(connection: socket.socket) -> None:

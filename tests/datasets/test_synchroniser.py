@@ -121,8 +121,13 @@ def test_poses_that_are_none_are_refused():
     pairing = FramePoseSynchroniser()
     with pytest.raises(ValueError, match="no rotation"):
         pairing.add_pose(0.0, np.diag([2.0, 2.0, 2.0, 1.0]))
-    with pytest.raises(ValueError, match="finite"):
-        pairing.add_pose(np.nan, np.eye(4))
+    for stamp_s in (np.nan, -np.inf, "1.0", None, [], 1j, np.datetime64("2026-01-01")):
+        with pytest.raises(ValueError, match="a pose's stamp must be finite"):
+            pairing.add_pose(stamp_s, np.eye(4))
+    for T in (np.eye(4)[:3], 1j * np.eye(4), "here", None):
+        with pytest.raises(ValueError, match="found a"):
+            pairing.add_pose(0.0, T)
+    assert pairing.n_waiting == 0
 
 
 @given(st.permutations(range(12)), st.permutations(range(12)), st.sets(st.integers(0, 11)))

@@ -90,7 +90,7 @@ def test_one_from_all_around_is_seen_the_same_way_however_the_sensor_turns():
 
 @pytest.mark.parametrize("cloud", [np.zeros((3, 4)), np.zeros(3)])
 def test_what_is_no_cloud(cloud):
-    with pytest.raises(ValueError, match=r"points_camera must be \(N, 3\), got"):
+    with pytest.raises(ValueError, match=r"points_camera must be numbers \(N, 3\), got"):
         LoopCloser.from_preset().process_points(0.0, cloud, np.eye(4))
 
 

@@ -1,3 +1,5 @@
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
@@ -178,3 +180,32 @@ def test_less_may_be_looked_at(turn, aside):
     frames, _, T_map_camera = turn
     lazy = hold(frames, T_map_camera, recogniser_params=RecogniserParams(n_aligned=3))
     assert_is_at(lazy.localize(aside[0][0]), aside[1][0])
+
+
+@pytest.mark.parametrize("T", [np.eye(4)[:3], 1j * np.eye(4), "here", None, np.full((4, 4), 1e300)])
+def test_a_pose_that_is_none_is_refused_and_nothing_added(turn, T):
+    """Of a localiser and of its recogniser."""
+    localizer = Localizer(ProjectiveVerifier())
+    for add in (localizer.add, localizer._recogniser.add):
+        with pytest.raises(ValueError, match="found "):
+            add(turn[0][0], T)
+    with pytest.raises(ValueError, match="found "):
+        localizer.add(turn[0][0], T, np.eye(4))
+    assert localizer.add(turn[0][0], np.eye(4)) == 0
+
+
+def test_threads_that_ask_at_once_get_the_answers_of_one(turn, aside):
+    localizer = hold(turn[0], turn[2])
+    frames = [*aside[0], *turn[0][:3]]
+    expected = [localizer.localize(frame) for frame in frames]
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(localizer.localize, [*frames, *frames]))
+    for a, b in zip([*expected, *expected], found, strict=True):
+        assert (a.keyframe_id, a.reason, a.supporting_ids) == (
+            b.keyframe_id,
+            b.reason,
+            b.supporting_ids,
+        )
+        if a.is_known:
+            np.testing.assert_array_equal(a.T_map_camera, b.T_map_camera)
+    assert len(localizer) == N_ROUND

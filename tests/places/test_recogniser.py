@@ -194,3 +194,9 @@ def test_a_pose_that_is_none_is_refused(tour, at, value):
     with pytest.raises(ValueError, match="found"):
         recogniser.add(tour[0][0], T)
     assert recogniser.add(tour[0][0], np.eye(4)) == 0
+
+
+@pytest.mark.parametrize(("view_id", "n_views"), [(0, 99), (99, 3), (-1, 3), (5, -3)])
+def test_views_that_are_not_there_are_refused(recogniser, view_id, n_views):
+    with pytest.raises(ValueError, match=f"found view {view_id} and {n_views} to search"):
+        recogniser.recognise(view_id, n_views)

@@ -219,3 +219,18 @@ def test_a_bag_is_run_with_its_own_odometry(tmp_path: Path) -> None:
     np.testing.assert_allclose(
         read_tum(out / "latest" / "trajectory_odometry_tum.txt").poses, turns, atol=1e-6
     )
+
+
+@pytest.mark.parametrize("form", ["ros1", "sqlite3"])
+def test_a_pose_that_is_far_away_is_unknown(tmp_path: Path, form: str) -> None:
+    far = pose(1)
+    far[0, 3] = 1e12
+    with writing(tmp_path, form) as (bag, path):
+        bag.camera(INFO)
+        for number in range(5):
+            if number < 4:
+                bag.image(TOPIC, time_ns(number), ramp(number), "16UC1")
+            bag.odometry("/odom", time_ns(number), far if number == 1 else pose(number), FRAME)
+    truth = registry.open_dataset(path, "bag", {"groundtruth": "/odom"}).groundtruth()
+    assert truth is not None
+    assert np.isnan(truth.poses).any(axis=(1, 2)).tolist() == [False, True, False, False]

@@ -226,6 +226,7 @@ def test_frames_of_different_sizes_are_refused(folder: Path) -> None:
         (np.ones((4, 4)), "found no rigid transform"),
         (np.zeros((4, 4)), "found no rigid transform"),
         (np.eye(3), "found 9 numbers, expected 16: a pose"),
+        (np.eye(4) + np.diag([1e9], 3), "found a position at 1e+09 m, expected metres"),
     ],
 )
 def test_what_is_no_pose_is_unknown(

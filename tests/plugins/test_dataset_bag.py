@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import shutil
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -95,9 +97,30 @@ def test_floats_in_millimetres_are_scaled_by_an_option(tmp_path: Path) -> None:
     with writing(tmp_path, "mcap") as (bag, path):
         bag.camera(INFO)
         bag.image(TOPIC, time_ns(0), ramp().astype(np.float32), "32FC1")
-    assert registry.open_dataset(path).frame(0).depth_m().max() > 1000
+    assert registry.open_dataset(path).frame(0).depth_m().max() > 1000  # a run warns of the unit
     frame = registry.open_dataset(path, "bag", {"depth_scale": 1000}).frame(0)
     np.testing.assert_allclose(frame.depth_m(), ramp() / 1000, rtol=1e-6)
+
+
+def test_a_value_of_no_depth_among_metres_is_missing(tmp_path: Path) -> None:
+    metres = (ramp() / 1000).astype(np.float32)
+    broken = metres.copy()
+    broken[3, 4] = 160_890.0
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.image(TOPIC, time_ns(0), broken, "32FC1")
+    expected = metres.copy()
+    expected[3, 4] = 0.0
+    np.testing.assert_array_equal(registry.open_dataset(path).frame(0).depth_m(), expected)
+
+
+def test_a_time_that_is_none_is_one_line(tmp_path: Path) -> None:
+    path = write(tmp_path, "sqlite3")
+    with closing(sqlite3.connect(next(path.glob("*.db3")))) as db:
+        db.execute("UPDATE messages SET timestamp = 'x' WHERE id = 3")
+        db.commit()
+    with pytest.raises(DatasetError, match="found a bag that cannot be read"):
+        registry.open_dataset(path)
 
 
 # Parts

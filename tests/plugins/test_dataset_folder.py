@@ -104,6 +104,9 @@ def test_true_poses_of_another_clock_are_told(
         "groundtruth.txt: no pose near 2 of 2 frames (poses from 1000.000 to 1000.100 s, frames "
         "from 0.033 to 0.067 s)"
     ) in caplog.text
+    (folder / "groundtruth.txt").write_text("# nothing was recorded\n")
+    assert registry.open_dataset(folder).groundtruth() is None
+    assert "groundtruth.txt: no pose near 2 of 2 frames\n" in caplog.text
 
 
 def test_times_come_from_a_list(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -8,6 +8,7 @@ import pytest
 from datasets import HEIGHT, WIDTH, check_dataset, pose, ramp, refusal, write_png
 
 from slam_bof.core import registry
+from slam_bof.errors import DatasetError
 
 EYE = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 
@@ -110,3 +111,11 @@ def test_images_of_another_size_than_the_camera_are_refused(scene: Path) -> None
         refusal("replica", scene)
     )
     assert "expected Replica in NICE-SLAM's format" in refusal("replica", scene.parent)
+
+
+def test_a_scale_by_which_all_lies_beyond_a_kilometre_is_refused(scene: Path) -> None:
+    camera = json.loads((scene.parent / "cam_params.json").read_text())["camera"]
+    (scene / "cam_params.json").write_text(json.dumps({"camera": {**camera, "scale": True}}))
+    dataset = registry.open_dataset(scene)
+    with pytest.raises(DatasetError, match=r"expected some within 1000 m: is the unit right\?"):
+        dataset.frame(0)

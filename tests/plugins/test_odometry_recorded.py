@@ -131,3 +131,13 @@ def test_text_that_is_no_trajectory(tmp_path):
     (tmp_path / "poses.txt").write_text("hello world\n")
     with pytest.raises(DatasetError, match=r"poses\.txt, line 1"):
         play(tmp_path / "poses.txt")
+
+
+def test_an_array_with_a_pose_far_away_is_refused(tmp_path):
+    rows = np.hstack([STAMPS_S[:, None], TRUTH[:, :3, 3], se3.to_quaternion(TRUTH)])
+    np.save(tmp_path / "rows.npy", rows)
+    np.testing.assert_allclose(play(tmp_path / "rows.npy"), TRUTH, atol=1e-12)
+    rows[3, 2] = 1e38
+    np.save(tmp_path / "rows.npy", rows)
+    with pytest.raises(DatasetError, match=r"rows.npy: found a position at 1e\+38 m"):
+        play(tmp_path / "rows.npy")

@@ -17,7 +17,7 @@ from slam_bof.geometry import read_kitti, read_tum
 from slam_bof.run import run_sequence
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
-from slam_bof.store import MapStore
+from slam_bof.store import MapStore, components_of
 from slam_bof.synthetic import KINECT, Scene3D, make_room, spin, write_sequence
 from slam_bof_plugins.odometry_kiss_icp import KissIcpOdometry
 
@@ -97,6 +97,17 @@ def test_the_audit_trail_names_each_decision(finished):
     assert len(accepted) == graph.execute("SELECT count(*) FROM loops").fetchone()[0]
     assert all(r["reason"] for r in rows if r["decision"] != "accepted")
     graph.close()
+    with MapStore.open(finished.folder) as store:
+        components = components_of(store)
+    assert [int(r["component"]) for r in rows] == [components[int(r["query_id"])] for r in rows]
+    with (finished.folder / "health.csv").open() as file:
+        frames = list(csv.DictReader(file))
+    assert len(frames) == 90
+    for frame in frames:
+        assert (frame["component"] == "") == (frame["health"] == "lost")
+    assert {int(frame["component"]) for frame in frames if frame["component"]} == set(
+        components.tolist()
+    )
 
 
 def test_the_map_has_raw_and_smoothed_labels_and_rooms(finished):

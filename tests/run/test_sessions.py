@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from slam_bof import LoopCloser
 from slam_bof.cli import app
 from slam_bof.core import registry
-from slam_bof.errors import DatasetError, MapError
+from slam_bof.errors import DatasetError, MapError, RunError
 from slam_bof.evaluation.trajectory_metrics import ate
 from slam_bof.geometry import se3
 from slam_bof.maps import MapLocalizer, merge_maps
@@ -100,6 +100,32 @@ def test_a_run_s_folder_is_of_its_own_session(joined):
         assert len(found.loops) == run.metrics["n_loops"] + run.metrics["n_covisibility_edges"]
         assert len(found.optimized) == 40
         assert json.loads((run.folder / "metrics.json").read_text()) == run.metrics
+
+
+UNKNOWN = "".join(f"{k / 30} {'nan' if k == 7 else k} 0 0 0 0 0 1\n" for k in range(40))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("metrics.json", "[" * 100_000, "expected the metrics of a run"),
+        ("metrics.json", "[]", "expected the metrics of a run"),
+        ("metrics.json", '{"loop_precision": [1]}', "a list or object as 'loop_precision'"),
+        ("health.csv", "health,n_open\ntracked,1e38\n", "expected columns health, n_open"),
+        ("health.csv", "health\ntracked\n", "expected columns health, n_open"),
+        ("health.csv", "health,n_open\n" + "x" * 200_000, "expected columns health, n_open"),
+        ("config.yaml", b"\xff\xfe\x00", "expected text"),
+        ("trajectory_odometry_tum.txt", "0 0 0 0 0 0 0 1\n", "expected the same frames"),
+        ("trajectory_odometry_tum.txt", UNKNOWN, "found unknown poses in its trajectories"),
+    ],
+)
+def test_a_run_s_folder_with_a_damaged_file_is_refused(apart, tmp_path, name, text, message):
+    folder = tmp_path / "run"
+    shutil.copytree(apart[0].parent, folder)
+    (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
+    with pytest.raises(RunError, match=message) as caught:
+        read_run(folder)
+    assert len(str(caught.value)) < 500
 
 
 def test_maps_are_merged_by_what_is_recognised(apart, sequences, tmp_path):
@@ -197,6 +223,10 @@ def test_localize_by_the_command_line(joined, sequences, tmp_path):
     rows = json.loads(CliRunner().invoke(app, ["localize", *write, "--json"]).stdout)
     assert [row["frame_index"] for row in rows] == [0, 1]
     assert all(row["is_known"] == (row["T_map_camera"] is not None) for row in rows)
+    assert all(row["component"] == (0 if row["is_known"] else None) for row in rows)
+    refused = CliRunner().invoke(app, ["localize", *write, "--component", "3"])
+    assert (refused.exit_code, refused.stdout) == (1, "")
+    assert "found no component 3, expected one of: 0" in refused.stderr
     image = str(folder / "frame-000001.depth.png")
     one = json.loads(CliRunner().invoke(app, ["localize", str(map_file), image, "--json"]).stdout)
     assert one["T_map_camera"] == rows[1]["T_map_camera"]

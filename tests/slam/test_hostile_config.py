@@ -33,7 +33,7 @@ REFUSED = {
     "seed: !!python/object:os.system x": "a type",
     "? [1, 2]\n: 3": "a key that is no text, line 1",
     "1: 2": "key",
-    "seed: \0": "special characters",
+    "seed: \0": "characters are not allowed",
     f"{'k' * 900}: 1": "unknown key 'kkk",
     "#" * 1_000_001: "found 1000001 characters",
 }

@@ -189,10 +189,11 @@ def change(T, at, value):
         (change(np.eye(4), (3, 3), 2.0), "found a last row 0 0 0 2, expected 0 0 0 1"),
         (change(np.eye(4), (0, 3), np.nan), "found NaN or infinity"),
         (np.eye(3), r"found an array \(3, 3\)"),
-        ("here", "could not convert string"),
-        (None, r"found an array \(\)"),
+        ("here", "found an array of <U4, expected numbers"),
+        (None, "found an array of object"),
         ([[1, 2], [3]], "inhomogeneous"),
-        ({}, "float"),
+        ({}, "found an array of object"),
+        (1j * np.eye(4), "found an array of complex128"),
     ],
 )
 def test_a_pose_that_is_none_is_refused_and_the_frame_ignored(walk, T, message):
@@ -203,6 +204,32 @@ def test_a_pose_that_is_none_is_refused_and_the_frame_ignored(walk, T, message):
         closer.process_points(0.0, np.ones((200, 3)), T)
     assert len(closer.history) == 0
     assert closer.process(*walk[0]).keyframe is not None
+
+
+@pytest.mark.parametrize(
+    ("covariance", "message"),
+    [
+        (np.eye(5), "expected .6, 6. numbers"),
+        ("here", "expected .6, 6. numbers"),
+        ([[1.0], [1.0, 2.0]], "inhomogeneous"),
+        (1j * np.eye(6), "expected .6, 6. numbers"),
+        (np.nan * np.eye(6), "expected 36 finite numbers"),
+    ],
+)
+def test_a_covariance_that_is_none_is_refused(walk, covariance, message):
+    closer = LoopCloser.from_preset()
+    with pytest.raises(FrameError, match=f"covariance of frame 0: .*{message}"):
+        closer.process(*walk[0], covariance)
+    assert len(closer.history) == 0
+
+
+def test_the_pose_of_a_sensor_in_its_frame_is_checked(walk):
+    closer = LoopCloser.from_preset()
+    with pytest.raises(FrameError, match=r"T_view_camera of frame 0, at 0.0 s: found an array"):
+        closer.process(*walk[0], T_view_camera=[1.0, 2.0])
+    with pytest.raises(ValueError, match=r"points_camera must be numbers"):
+        closer.process_points(0.0, 1j * np.ones((200, 3)), np.eye(4))
+    assert len(closer.history) == 0
 
 
 def test_poses_are_copied(walk):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sqlite3
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict
@@ -302,3 +303,12 @@ def test_a_map_read_within_a_snapshot_is_of_one_moment(path: Path) -> None:
             save(writer, make_keyframe(6))
             assert len(reader.keyframes()) == 6
         assert len(reader.keyframes()) == 7
+
+
+def test_a_connection_trusts_no_file(tmp_path: Path) -> None:
+    with MapStore.create(tmp_path / "map.db"):
+        pass
+    with MapStore.open(tmp_path / "map.db") as store:
+        assert store.connection.execute("PRAGMA trusted_schema").fetchone()[0] == 0
+        if sys.version_info >= (3, 12):
+            assert store.connection.getconfig(sqlite3.SQLITE_DBCONFIG_DEFENSIVE)

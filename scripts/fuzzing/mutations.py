@@ -91,7 +91,7 @@ def mutate_array(data: bytes, rng: random.Random) -> bytes:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except Exception:  # it is broken already
         return mutate_bytes(data, rng)
-    if not isinstance(array, np.ndarray):
+    if not isinstance(array, np.ndarray) or array.dtype.kind == "V":  # trees
         return mutate_bytes(data, rng)
     kind = rng.randrange(5)
     if kind == 0 and array.size and array.dtype.kind in "fiu":
