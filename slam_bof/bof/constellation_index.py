@@ -23,7 +23,7 @@ from slam_bof.bof.constellation_correspondences import (
     weights,
 )
 from slam_bof.bof.constellation_packing import PACKED, pack_constellation, unpack_constellation
-from slam_bof.bof.motion_votes import MotionVotes, count_votes, phases
+from slam_bof.bof.motion_votes import MAX_VIEWS, MotionVotes, count_votes, phases
 from slam_bof.bof.posting_lists import PostingLists, Postings
 from slam_bof.core import GrowingArray
 from slam_bof.types import Params
@@ -120,8 +120,16 @@ class ConstellationIndex:
         return self._postings.nbytes + sum(array.rows.nbytes for array in arrays)
 
     def add(self, bofs: PlacedBofs) -> int:
-        """Hold another view, and return its id: 0, 1, 2 ..."""
+        """Hold another view, and return its id: 0, 1, 2 ...
+
+        Raises
+        ------
+        ValueError
+            If it holds as many as it can.
+        """
         view_id = len(self)
+        if view_id >= MAX_VIEWS:
+            raise ValueError(f"an index holds at most {MAX_VIEWS} views")
         rows = pack_constellation(bofs)
         self._rows.extend(rows)
         self._starts.append(len(self._rows))
@@ -129,8 +137,8 @@ class ConstellationIndex:
         shape = np.clip(np.floor(_shape(bofs)), 0, N_CELLS - 1).astype(np.int64)
         keys = _first_key(bofs.slices, shape) + rows["mean"]
         views = np.full(len(rows), view_id, np.int32)
-        x, z = rows["place"].T
-        self._postings.add(Postings(keys.astype(np.int32), views, x, z, phases(bofs)))
+        places = np.ascontiguousarray(rows["place"]).view(np.int32)[:, 0]
+        self._postings.add(Postings(keys.astype(np.int32), views, places, phases(bofs)))
         return view_id
 
     def pop(self) -> None:
@@ -172,23 +180,18 @@ class ConstellationIndex:
         contours, low, high = _ranges(query, SLICES_APART if is_small else OWN_SLICE)
         lists = self._postings.lists()
         begins = [np.searchsorted(postings.keys, low) for postings in lists]
-        ends = [np.searchsorted(postings.keys, high) for postings in lists]
-        n_found = np.sum(ends, axis=0) - np.sum(begins, axis=0) if lists else np.zeros(len(low))
+        counts = [
+            np.searchsorted(postings.keys, high) - begin
+            for postings, begin in zip(lists, begins, strict=True)
+        ]
+        n_found = np.sum(counts, axis=0) if lists else np.zeros(len(low))
         kept = self._telling(contours, n_found, len(query.slices))
-        contours = contours[kept]
-        cells = [np.empty(0, np.int64)]
-        for postings, first, last in zip(lists, begins, ends, strict=True):
-            begin = first[kept]
-            counts = last[kept] - begin
-            asking = np.repeat(contours, counts)
-            rows = np.arange(len(asking)) + np.repeat(begin - (np.cumsum(counts) - counts), counts)
-            cells.append(voters.cells(asking, rows, postings))
-        # A view of few contours has fewer votes to get.
-        worth = 1.0 / np.sqrt(self._totals.rows + np.float32(5.0))
-        if allowed is not None:
-            worth = np.where(allowed, worth, 0.0)
-        views, votes = count_votes(np.concatenate(cells), worth.astype(np.float32), n)
-        return views[votes > 0]
+        cells = [np.empty(0, np.uint32)]
+        cells += [
+            voters.cells(contours[kept], begin[kept], count[kept], postings)
+            for postings, begin, count in zip(lists, begins, counts, strict=True)
+        ]
+        return count_votes(np.concatenate(cells), self._totals.rows, n, allowed)[0]
 
     def _telling(
         self, contours: NDArray[np.intp], n_found: NDArray[Any], n_contours: int
@@ -207,7 +210,7 @@ class ConstellationIndex:
         counts = stops - starts
         which = np.repeat(np.arange(len(views)), counts)
         rows = np.arange(len(which)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
-        pairs = find_correspondences(query, unpack_constellation(self._rows.rows[rows]), p)
+        pairs = find_correspondences(query, unpack_constellation(self._rows.rows.take(rows)), p)
         votes = vote(pairs, which[pairs.match], len(views), p)
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
         scores = votes.worth / np.maximum(total, np.float32(1e-6))
@@ -250,5 +253,7 @@ def _ranges(
     low = np.maximum(level - MEAN_REACH, 0)
     high = np.minimum(level + MEAN_REACH + 1, MEAN_LEVELS)
     # Of the type of the keys, which would be converted otherwise.
-    low, high = (first + level[contours] for level in (low, high))
-    return contours, low.astype(np.int32), high.astype(np.int32)
+    low, high = ((first + level[contours]).astype(np.int32) for level in (low, high))
+    # In order, each search goes on where the one before has been.
+    order = np.argsort(low, kind="stable")
+    return contours[order], low[order], high[order]

@@ -20,14 +20,13 @@ MERGE_RATIO = 4
 class Postings(NamedTuple):
     """P contours: their key, their view, and what else a vote needs.
 
-    ``x`` and ``z`` are centroids in steps, ``phases`` (P, 2) those of two harmonics, 256 to the
-    circle.
+    ``places`` are centroids in steps, x in the lower 16 bits and z in the upper ones; ``phases``
+    (P, 2) are those of two harmonics, 256 to the circle.
     """
 
     keys: NDArray[np.int32]
     views: NDArray[np.int32]
-    x: NDArray[np.int16]
-    z: NDArray[np.int16]
+    places: NDArray[np.int32]
     phases: NDArray[np.uint8]
 
     def sorted(self) -> Postings:

@@ -4,10 +4,12 @@ import pytest
 from slam_bof.bof import (
     ConstellationIndex,
     IndexParams,
+    constellation_index,
     pack_constellation,
     unpack_constellation,
 )
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs, encode
+from slam_bof.bof.motion_votes import AXIS_BITS, MOTION_BITS, MotionVotes, phases
 from slam_bof.bof.posting_lists import PostingLists, Postings
 
 ANGLE = np.arange(180) * (2 * np.pi / 180)
@@ -131,8 +133,7 @@ def test_lists_hold_all_postings_in_order():
             Postings(
                 keys.astype(np.int32),
                 told[:, 0].astype(np.int32),
-                told[:, 0].astype(np.int16),
-                told[:, 1].astype(np.int16),
+                told[:, 1].astype(np.int32),
                 told.astype(np.uint8),
             )
         )
@@ -143,7 +144,8 @@ def test_lists_hold_all_postings_in_order():
             np.bincount(views, minlength=100)[: view_id + 1], counts[: view_id + 1]
         )
     assert len(held) < 8
-    assert all((p.views == p.x).all() and (p.x[:, None] == p.phases).all() for p in held)
+    assert all((p.views == p.places).all() for p in held)
+    assert all((p.places[:, None] == p.phases).all() for p in held)
 
 
 def test_views_that_are_not_kept_are_as_if_they_had_never_been_added():
@@ -189,3 +191,29 @@ def test_slices_beside_are_looked_in_while_the_map_is_small(max_views_beside, is
     higher = view(3)._replace(slices=view(3).slices + np.int8(1))
     assert (0 in index.candidates(higher, 1)) == is_found
     assert 0 in index.candidates(view(3), 1)
+
+
+def test_an_index_says_how_many_views_it_holds(monkeypatch):
+    index = ConstellationIndex()
+    monkeypatch.setattr(constellation_index, "MAX_VIEWS", 1)
+    index.add(view(0))
+    with pytest.raises(ValueError, match="at most 1 views"):
+        index.add(view(1))
+    assert len(index) == 1
+
+
+def test_votes_are_for_the_cell_of_the_motion():
+    """A contour seen again, moved by 1 m, votes for one cell; one 20 m away for none."""
+    one = view(2, n=1)
+    votes = MotionVotes(one)
+    cells = []
+    for shift in (0.0, 1.0, 20.0):
+        rows = pack_constellation(one._replace(centroids_m=one.centroids_m + np.complex64(shift)))
+        places = np.ascontiguousarray(rows["place"]).view(np.int32)[:, 0]
+        postings = Postings(np.zeros(1, np.int32), np.array([5], np.int32), places, phases(one))
+        begin, counts = np.zeros(1, np.intp), np.ones(1, np.intp)
+        cells.append(votes.cells(np.zeros(1, np.intp), begin, counts, postings).tolist())
+    (at_rest,), (moved,), nowhere = cells
+    assert at_rest >> MOTION_BITS == moved >> MOTION_BITS == 5
+    assert moved - at_rest == 2 << AXIS_BITS  # of half a metre, along x
+    assert nowhere == []
