@@ -217,3 +217,48 @@ def test_votes_are_for_the_cell_of_the_motion():
     assert at_rest >> MOTION_BITS == moved >> MOTION_BITS == 5
     assert moved - at_rest == 2 << AXIS_BITS  # of half a metre, along x
     assert nowhere == []
+
+
+def same_answers(one, other, seeds):
+    for seed in seeds:
+        found, expected = one.find(view(seed), 20), other.find(view(seed), 20)
+        np.testing.assert_array_equal(found.view_ids, expected.view_ids)
+        np.testing.assert_allclose(found.scores, expected.scores, rtol=1e-5)
+
+
+def test_an_index_answers_the_same_from_its_columns_and_goes_on(index):
+    whole = ConstellationIndex()
+    for seed in range(120):
+        whole.add(view(seed))
+    columns = {name: array.copy() for name, array in whole.columns().items()}
+    for array in columns.values():
+        array.setflags(write=False)  # as of a file
+    loaded = ConstellationIndex.load(columns)
+    same_answers(loaded, whole, (0, 57, 119))
+    for one in (loaded, whole):
+        one.add(view(500))
+        one.pop()
+        assert one.add(view(501)) == 120
+    same_answers(loaded, whole, (0, 501))
+    nothing = ConstellationIndex.load(ConstellationIndex().columns())
+    assert len(nothing) == len(nothing.find(view(0), 5).view_ids) == 0
+
+
+def test_indices_are_joined_as_if_all_had_been_added_to_one():
+    views = [view(seed, n=5 + seed % 7) for seed in range(90)]
+    whole = ConstellationIndex()
+    for bofs in views:
+        whole.add(bofs)
+    parts = [
+        ConstellationIndex.of(
+            PlacedBofs(*map(np.concatenate, zip(*some, strict=True))),
+            np.array([len(bofs.slices) for bofs in some]),
+        )
+        for some in (views[:40], views[40:])
+    ]
+    joined = ConstellationIndex.joined(parts)
+    assert len(joined) == 90
+    for name, array in whole.columns().items():
+        if name in ("rows", "starts"):
+            np.testing.assert_array_equal(array, joined.columns()[name])
+    same_answers(joined, whole, range(0, 90, 9))
