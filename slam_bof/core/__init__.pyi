@@ -8,6 +8,7 @@ from .checkpoint import (
     Restorable as Restorable,
 )
 from .failures import keep_going as keep_going
+from .file_lock import lock_file as lock_file
 from .native_libraries import (
     import_open3d as import_open3d,
     one_blas_thread as one_blas_thread,

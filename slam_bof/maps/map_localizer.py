@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from slam_bof.core import registry
 from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
-from slam_bof.slam import config as configs
+from slam_bof.slam import Config, config as configs
 from slam_bof.store import MapStore, choose_component
-from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
+from slam_bof.types import Array, DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
 
-__all__ = ["LocalizedFrame", "MapLocalizer"]
+__all__ = ["LocalizedFrame", "MapLocalizer", "SearchedMap", "load_searched"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +32,65 @@ class LocalizedFrame:
     scene: Scene | None
     keyframe: Keyframe | None
     room: str | None
+
+
+class SearchedMap(NamedTuple):
+    """What images are compared with in a map: keyframes, their depth images and poses (K, 4, 4).
+
+    ``config`` is that of the last session, and ``model_hash`` the model of the map.
+    """
+
+    config: Config
+    model_hash: str | None
+    camera: Intrinsics
+    keyframes: list[Keyframe]
+    frames: list[DepthFrame]
+    T_map_camera: Array
+
+
+def load_searched(path: Path) -> SearchedMap:
+    """Load the keyframes of a finished map that images are compared with.
+
+    Of several components that is the largest, without culled keyframes.
+
+    Raises
+    ------
+    MapError
+        If the map has no keyframes or no depth images, is damaged, or its last run was
+        interrupted.
+    """
+    with MapStore.open(path) as store, store.snapshot():
+        sessions, camera = store.sessions(), store.intrinsics()
+        keyframes, T_map_camera = store.keyframes(), store.map_poses()
+        if not keyframes:
+            raise MapError(f"{path}: found no keyframes, expected at least one")
+        if camera is None:
+            raise MapError(
+                f"{path}: found no depth images, expected some: maps made before version 4 "
+                "have none"
+            )
+        if not np.isfinite(T_map_camera).all():
+            raise MapError(
+                f"{path}: found an interrupted run of {sessions[-1].sequence}, "
+                f"expected a finished one: resume it, or slam-bof map finish {path}"
+            )
+        config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
+        anchors = store.anchors()
+        searched = np.flatnonzero(choose_component(store) & (anchors == np.arange(len(anchors))))
+        frames = []
+        for k in searched.tolist():
+            frame = store.view(k)
+            if frame is None:
+                raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
+            frames.append(frame)
+        return SearchedMap(
+            config,
+            store.parameters().get("model"),
+            camera,
+            [keyframes[k] for k in searched],
+            frames,
+            T_map_camera[searched],
+        )
 
 
 class MapLocalizer:
@@ -73,42 +132,20 @@ class MapLocalizer:
         ModelError
             If the model that the map was made with is missing.
         """
-        path = Path(path)
-        with MapStore.open(path) as store, store.snapshot():
-            sessions, camera = store.sessions(), store.intrinsics()
-            keyframes, T_map_camera = store.keyframes(), store.map_poses()
-            if not keyframes:
-                raise MapError(f"{path}: found no keyframes, expected at least one")
-            if camera is None:
-                raise MapError(
-                    f"{path}: found no depth images, expected some: maps made before version 4 "
-                    "have none"
-                )
-            if not np.isfinite(T_map_camera).all():
-                raise MapError(
-                    f"{path}: found an interrupted run of {sessions[-1].sequence}, "
-                    f"expected a finished one: resume it, or slam-bof map finish {path}"
-                )
-            config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
-            made_with = store.parameters().get("model")
-            model = models.resolve(models.name_by_hash(config.model, made_with))
-            anchors = store.anchors()
-            searched = choose_component(store) & (anchors == np.arange(len(anchors)))
-            largest = np.flatnonzero(searched)
-            localizer = Localizer(
-                registry.build("verifiers", config.verifier.name, config.verifier.options),
-                recogniser_params=config.loops.recogniser,
-                gravity_odom=config.gravity_odom,
-                sensor=config.sensor,
-                seed=config.seed,
-            )
-            for k in largest:
-                frame = store.view(int(k))
-                if frame is None:
-                    raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
-                localizer.add(frame, T_map_camera[k])
-        own = [keyframes[k] for k in largest]
-        return cls(localizer, own, model.labeller(config.labels.by), camera, config.sensor)
+        found = load_searched(Path(path))
+        config = found.config
+        model = models.resolve(models.name_by_hash(config.model, found.model_hash))
+        localizer = Localizer(
+            registry.build("verifiers", config.verifier.name, config.verifier.options),
+            recogniser_params=config.loops.recogniser,
+            gravity_odom=config.gravity_odom,
+            sensor=config.sensor,
+            seed=config.seed,
+        )
+        for frame, T_map_camera in zip(found.frames, found.T_map_camera, strict=True):
+            localizer.add(frame, T_map_camera)
+        labeller = model.labeller(config.labels.by)
+        return cls(localizer, found.keyframes, labeller, found.camera, config.sensor)
 
     def __len__(self) -> int:
         """Return the number of keyframes that images are compared with."""
