@@ -7,6 +7,7 @@ from .checkpoint import (
     Checkpoint as Checkpoint,
     Restorable as Restorable,
 )
+from .cluster import on_cluster as on_cluster
 from .failures import keep_going as keep_going
 from .file_lock import lock_file as lock_file
 from .native_libraries import (
