@@ -13,7 +13,7 @@ from slam_bof.atlas.atlas import Atlas, AtlasMatch
 from slam_bof.atlas.manifest import AtlasMap
 from slam_bof.bof import Constellation, describe_constellation
 from slam_bof.core import one_blas_thread
-from slam_bof.errors import MapError, ModelError
+from slam_bof.errors import SlamBofError
 from slam_bof.geometry import GravityTracker, PointParams, make_view, points_camera, render
 from slam_bof.maps import LocalizedFrame, MapLocalizer
 from slam_bof.types import DepthFrame, Intrinsics
@@ -101,7 +101,7 @@ class AtlasLocalizer:
         ):
             try:
                 localizer = self._load(match.map)
-            except (MapError, ModelError) as error:
+            except SlamBofError as error:
                 why = str(error)
             else:
                 located = localizer.localize(_as_seen_by(localizer.intrinsics, frame))
