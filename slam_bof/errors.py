@@ -5,6 +5,7 @@ argument to a function raises a plain ``ValueError`` instead.
 """
 
 __all__ = [
+    "AtlasError",
     "ConfigError",
     "DatasetError",
     "FrameError",
@@ -18,6 +19,10 @@ __all__ = [
 
 class SlamBofError(Exception):
     """Base class of all errors that the user can correct."""
+
+
+class AtlasError(SlamBofError):
+    """An atlas is missing, locked, damaged or of an unsupported version."""
 
 
 class ConfigError(SlamBofError):

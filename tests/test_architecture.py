@@ -25,7 +25,7 @@ _FLOORS = """
     loops scenes
     slam evaluation
     store visualization
-    maps
+    maps atlas
     run
     cli
 """

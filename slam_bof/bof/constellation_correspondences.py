@@ -113,10 +113,11 @@ def find_correspondences(
     a, b = _candidates(query, others, params)
     yaws = _yaws(params.max_yaw_deg)
     turned = _turn(query.codes, yaws)
+    codes = others.codes.take(b, axis=0)
     similarity = np.empty((len(yaws), len(a)), np.float32)
     bounds = np.searchsorted(a, np.arange(len(query.codes) + 1))
     for k, (start, stop) in enumerate(pairwise(bounds.tolist())):
-        similarity[:, start:stop] = turned[k] @ others.codes[b[start:stop]].T
+        similarity[:, start:stop] = turned[k] @ codes[start:stop].T
     kept = np.flatnonzero(similarity.max(axis=0, initial=-1.0) > params.min_similarity)
     a, b, similarity = a[kept], b[kept], similarity[:, kept]
     yaw, highest = _peak(similarity, yaws)
@@ -143,12 +144,13 @@ def _candidates(
     low = np.searchsorted(slices, query.slices - params.max_slices)
     high = np.searchsorted(slices, query.slices + params.max_slices, side="right")
     counts = high - low
-    a = np.repeat(np.arange(len(counts)), counts)
-    b = np.arange(len(a)) + np.repeat(low - (np.cumsum(counts) - counts), counts)
+    b = np.repeat(low - (np.cumsum(counts) - counts), counts)
+    b += np.arange(len(b))
     log_ratio = np.float32(np.log(params.max_size_ratio))
-    near = np.abs(query.log_radii[a] - log_radii[b]) < log_ratio
-    near &= np.abs(query.means[a] - means[b]) < np.float32(params.max_mean_difference)
-    return a[near], order[b[near]]
+    near = np.abs(np.repeat(query.log_radii, counts) - log_radii.take(b)) < log_ratio
+    difference = np.repeat(query.means, counts) - means.take(b)
+    near &= np.abs(difference) < np.float32(params.max_mean_difference)
+    return np.repeat(np.arange(len(counts)), counts)[near], order[b[near]]
 
 
 def _peak(

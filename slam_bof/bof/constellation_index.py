@@ -7,9 +7,10 @@ contour, and ranked by consensus (``constellation_consensus``).
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +24,8 @@ from slam_bof.bof.constellation_correspondences import (
     weights,
 )
 from slam_bof.bof.constellation_packing import PACKED, pack_constellation, unpack_constellation
-from slam_bof.bof.motion_votes import MotionVotes, count_votes, phases
-from slam_bof.bof.posting_lists import PostingLists, Postings
+from slam_bof.bof.motion_votes import MAX_VIEWS, MotionVotes, count_votes, phases
+from slam_bof.bof.posting_lists import PostingLists, Postings, join_postings
 from slam_bof.core import GrowingArray
 from slam_bof.types import Params
 
@@ -37,6 +38,8 @@ N_CELLS = np.array([24, 8, 5])
 SLICES_APART = (-1, 0, 1)
 """Slices that are looked in; more would hardly add, for things stand in several."""
 OWN_SLICE = (0,)
+NO_NUMBERS = np.empty(0, np.int32)
+NO_POSTINGS = Postings(NO_NUMBERS, NO_NUMBERS, NO_NUMBERS, np.empty((0, 2), np.uint8))
 MEAN_LEVELS = 256
 MEAN_REACH = 15
 """Levels that means may differ by."""
@@ -119,18 +122,77 @@ class ConstellationIndex:
         arrays = (self._rows, self._starts, self._totals)
         return self._postings.nbytes + sum(array.rows.nbytes for array in arrays)
 
+    @classmethod
+    def of(
+        cls, bofs: PlacedBofs, counts: NDArray[np.integer[Any]], params: IndexParams | None = None
+    ) -> Self:
+        """Hold the contours of many views, which have ``counts`` (V,) contours each."""
+        index, rows = cls(params), pack_constellation(bofs)
+        views = np.repeat(np.arange(len(counts)), counts)
+        totals = np.bincount(views, weights(bofs), len(counts)).astype(np.float32)
+        index._hold(rows, np.append(0, np.cumsum(counts)), totals, _postings(bofs, rows, views))
+        return index
+
+    @classmethod
+    def load(cls, columns: Mapping[str, NDArray[Any]], params: IndexParams | None = None) -> Self:
+        """Hold what ``columns`` has returned; the arrays may be those of a file."""
+        index = cls(params)
+        postings = Postings(*(columns[name] for name in Postings._fields))
+        index._hold(columns["rows"], columns["starts"], columns["totals"], postings)
+        return index
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self], params: IndexParams | None = None) -> Self:
+        """Hold the views of several indices, one after another."""
+        index = cls(params)
+        rows, starts, postings, n_views, n_rows = [], [np.zeros(1, np.int64)], [], 0, 0
+        for part in parts:
+            rows.append(part._rows.rows)
+            starts.append(part._starts.rows[1:] + n_rows)
+            lists = part._postings.lists()
+            postings += [p._replace(views=p.views + np.int32(n_views)) for p in lists]
+            n_views, n_rows = n_views + len(part), n_rows + len(part._rows)
+        totals = np.concatenate([part._totals.rows for part in parts])
+        index._hold(np.concatenate(rows), np.concatenate(starts), totals, join_postings(postings))
+        return index
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Return all that is held, as arrays to be saved for ``load``."""
+        postings = join_postings(self._postings.lists() or [NO_POSTINGS])
+        return {
+            "rows": self._rows.rows,
+            "starts": self._starts.rows,
+            "totals": self._totals.rows,
+            **postings._asdict(),
+        }
+
+    def _hold(
+        self,
+        rows: NDArray[np.void],
+        starts: NDArray[np.int64],
+        totals: NDArray[np.float32],
+        postings: Postings,
+    ) -> None:
+        """Hold arrays of views, in place of what was held."""
+        self._rows, self._starts = GrowingArray.of(rows), GrowingArray.of(starts)
+        self._totals, self._postings = GrowingArray.of(totals), PostingLists.of(postings)
+
     def add(self, bofs: PlacedBofs) -> int:
-        """Hold another view, and return its id: 0, 1, 2 ..."""
+        """Hold another view, and return its id: 0, 1, 2 ...
+
+        Raises
+        ------
+        ValueError
+            If it holds as many as it can.
+        """
         view_id = len(self)
+        if view_id >= MAX_VIEWS:
+            raise ValueError(f"an index holds at most {MAX_VIEWS} views")
         rows = pack_constellation(bofs)
         self._rows.extend(rows)
         self._starts.append(len(self._rows))
         self._totals.append(weights(bofs).sum())
-        shape = np.clip(np.floor(_shape(bofs)), 0, N_CELLS - 1).astype(np.int64)
-        keys = _first_key(bofs.slices, shape) + rows["mean"]
-        views = np.full(len(rows), view_id, np.int32)
-        x, z = rows["place"].T
-        self._postings.add(Postings(keys.astype(np.int32), views, x, z, phases(bofs)))
+        self._postings.add(_postings(bofs, rows, np.full(len(rows), view_id)))
         return view_id
 
     def pop(self) -> None:
@@ -167,28 +229,29 @@ class ConstellationIndex:
         self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None
     ) -> NDArray[np.intp]:
         """Return the up to ``n`` views (m,) that have most votes for one motion, best first."""
+        return self.vote(query, n, allowed=allowed)[0]
+
+    def vote(
+        self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None
+    ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """Return the same, and what the votes (m,) for each are worth."""
         voters = MotionVotes(query)
         is_small = len(self) <= self.params.max_views_beside
         contours, low, high = _ranges(query, SLICES_APART if is_small else OWN_SLICE)
         lists = self._postings.lists()
         begins = [np.searchsorted(postings.keys, low) for postings in lists]
-        ends = [np.searchsorted(postings.keys, high) for postings in lists]
-        n_found = np.sum(ends, axis=0) - np.sum(begins, axis=0) if lists else np.zeros(len(low))
+        counts = [
+            np.searchsorted(postings.keys, high) - begin
+            for postings, begin in zip(lists, begins, strict=True)
+        ]
+        n_found = np.sum(counts, axis=0) if lists else np.zeros(len(low))
         kept = self._telling(contours, n_found, len(query.slices))
-        contours = contours[kept]
-        cells = [np.empty(0, np.int64)]
-        for postings, first, last in zip(lists, begins, ends, strict=True):
-            begin = first[kept]
-            counts = last[kept] - begin
-            asking = np.repeat(contours, counts)
-            rows = np.arange(len(asking)) + np.repeat(begin - (np.cumsum(counts) - counts), counts)
-            cells.append(voters.cells(asking, rows, postings))
-        # A view of few contours has fewer votes to get.
-        worth = 1.0 / np.sqrt(self._totals.rows + np.float32(5.0))
-        if allowed is not None:
-            worth = np.where(allowed, worth, 0.0)
-        views, votes = count_votes(np.concatenate(cells), worth.astype(np.float32), n)
-        return views[votes > 0]
+        cells = [np.empty(0, np.uint32)]
+        cells += [
+            voters.cells(contours[kept], begin[kept], count[kept], postings)
+            for postings, begin, count in zip(lists, begins, counts, strict=True)
+        ]
+        return count_votes(np.concatenate(cells), self._totals.rows, n, allowed)
 
     def _telling(
         self, contours: NDArray[np.intp], n_found: NDArray[Any], n_contours: int
@@ -207,12 +270,22 @@ class ConstellationIndex:
         counts = stops - starts
         which = np.repeat(np.arange(len(views)), counts)
         rows = np.arange(len(which)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
-        pairs = find_correspondences(query, unpack_constellation(self._rows.rows[rows]), p)
+        pairs = find_correspondences(query, unpack_constellation(self._rows.rows.take(rows)), p)
         votes = vote(pairs, which[pairs.match], len(views), p)
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
         scores = votes.worth / np.maximum(total, np.float32(1e-6))
         best = np.argsort(-scores, kind="stable")
         return Found(views[best], scores[best], fit_motions(votes, best, p))
+
+
+def _postings(
+    bofs: PlacedBofs, rows: NDArray[np.void], views: NDArray[np.integer[Any]]
+) -> Postings:
+    """Return the postings, not sorted, of contours (C,) that are packed in ``rows`` (C,)."""
+    shape = np.clip(np.floor(_shape(bofs)), 0, N_CELLS - 1).astype(np.int64)
+    keys = _first_key(bofs.slices, shape) + rows["mean"]
+    places = np.ascontiguousarray(rows["place"]).view(np.int32)[:, 0]
+    return Postings(keys.astype(np.int32), views.astype(np.int32), places, phases(bofs))
 
 
 def _shape(bofs: PlacedBofs) -> NDArray[np.float32]:
@@ -250,5 +323,7 @@ def _ranges(
     low = np.maximum(level - MEAN_REACH, 0)
     high = np.minimum(level + MEAN_REACH + 1, MEAN_LEVELS)
     # Of the type of the keys, which would be converted otherwise.
-    low, high = (first + level[contours] for level in (low, high))
-    return contours, low.astype(np.int32), high.astype(np.int32)
+    low, high = ((first + level[contours]).astype(np.int32) for level in (low, high))
+    # In order, each search goes on where the one before has been.
+    order = np.argsort(low, kind="stable")
+    return contours[order], low[order], high[order]

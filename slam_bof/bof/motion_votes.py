@@ -13,7 +13,7 @@ from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
 from slam_bof.bof.constellation_packing import STEPS_PER_M
 from slam_bof.bof.posting_lists import Postings
 
-__all__ = ["MotionVotes", "count_votes", "phases"]
+__all__ = ["MAX_VIEWS", "MotionVotes", "count_votes", "phases"]
 
 HARMONICS = (2, 3)
 """Either tells the yaw uniquely within +-60 degrees."""
@@ -31,6 +31,10 @@ CELL_BITS = 6
 AXIS_BITS = 4
 """16 cells along x and z."""
 MOTION_BITS = 3 + 2 * AXIS_BITS
+MAX_VIEWS = 2 ** (32 - MOTION_BITS)
+FAR = np.uint32(0x10001 * (0xFFFF & -(2 ** (AXIS_BITS + CELL_BITS))))
+"""The bits of a place, relative to the first cell, that only one beyond the last cell has."""
+ALONG_X = np.uint32((2**AXIS_BITS - 1) << AXIS_BITS)
 NOWHERE = 2**14 * (1 + 1j)
 """Steps away from anything."""
 NEIGHBOUR = 0.5
@@ -51,46 +55,54 @@ class MotionVotes:
         codes = bofs.codes[:, :half] + 1j * bofs.codes[:, half:]
         strength = np.abs(codes[:, HARMONICS]) * HARMONICS
         self._harmonic = strength.argmax(axis=1)
-        self._phase = phases(bofs)[np.arange(len(codes)), self._harmonic]
-        yaw = YAWS[self._harmonic]
-        turned = TURNS[self._harmonic] * (bofs.centroids_m[:, None] - 1j * PIVOT_M) + 1j * PIVOT_M
+        own = phases(bofs)[np.arange(len(codes)), self._harmonic]
+        # For each phase that another contour may have: the yaw, and where this one comes to lie,
+        # plus what makes its cell's number of the distance to the other.
+        of_phase = self._harmonic[:, None], own[:, None] - np.arange(256, dtype=np.uint8)
+        yaw = YAWS[of_phase]
+        turned = TURNS[of_phase] * (bofs.centroids_m[:, None] - 1j * PIVOT_M) + 1j * PIVOT_M
         turned *= STEPS_PER_M
-        # Of all 256 differences between two phases: where the contour comes to lie, plus what
-        # makes its cell's number of the distance to another.
         middle = 2 ** (AXIS_BITS + CELL_BITS - 1) + 2 ** (CELL_BITS - 1)
         turned -= middle * (1 + 1j)
         turned[np.abs(yaw) > MAX_YAW_RAD] = NOWHERE
-        self._x = np.rint(turned.real).astype(np.int16).reshape(-1)
-        self._z = np.rint(turned.imag).astype(np.int16).reshape(-1)
-        self._yaw_cells = (np.rint(yaw / YAW_CELL_RAD) + 3).astype(np.int64).reshape(-1)
+        places = np.stack([turned.real, turned.imag], axis=-1)
+        self._places = np.rint(places).astype(np.int16).reshape(-1).view(np.int32)
+        yaw_cells = np.rint(yaw / YAW_CELL_RAD) + 3
+        self._yaw_cells = yaw_cells.astype(np.uint32).reshape(-1) << np.uint32(2 * AXIS_BITS)
 
     def cells(
-        self, contours: NDArray[np.intp], rows: NDArray[np.intp], postings: Postings
-    ) -> NDArray[np.int64]:
+        self,
+        contours: NDArray[np.intp],
+        begin: NDArray[np.intp],
+        counts: NDArray[np.intp],
+        postings: Postings,
+    ) -> NDArray[np.uint32]:
         """Return the cell of view and motion of each vote that is for a motion near enough.
 
-        Contours (P,) of the query meet those of ``rows`` (P,) of the postings.
+        Contours (R,) of the query meet the ``counts`` (R,) postings from ``begin`` (R,) on.
         """
-        turn = self._harmonic[contours]
-        turn += 2 * rows
-        difference = self._phase[contours] - postings.phases.reshape(-1)[turn]
-        np.multiply(contours, 256, out=turn)
-        turn += difference
-        x = postings.x[rows] - self._x[turn]
-        z = postings.z[rows] - self._z[turn]
-        # Of unsigned numbers, those below zero are the largest.
-        wide = 2 ** (AXIS_BITS + CELL_BITS)
-        near = np.flatnonzero((x.view(np.uint16) < wide) & (z.view(np.uint16) < wide))
-        cell = postings.views[rows[near]].astype(np.int64) << 3
+        begin = begin - (np.cumsum(counts) - counts)
+        at = np.repeat(2 * begin + self._harmonic[contours], counts)
+        at += np.arange(0, 2 * len(at), 2)
+        turn = np.repeat(256 * contours, counts)
+        turn += postings.phases.reshape(-1)[at]
+        at >>= 1
+        moved = postings.places[at].view(np.int16) - self._places[turn].view(np.int16)
+        moved = moved.view(np.uint32)
+        near = np.flatnonzero((moved & FAR) == 0)
+        moved = moved[near]
+        cell = postings.views[at[near]].view(np.uint32) << np.uint32(MOTION_BITS)
         cell |= self._yaw_cells[turn[near]]
-        for along in (x, z):
-            cell <<= AXIS_BITS
-            cell |= along[near] >> CELL_BITS
-        return cell
+        cell |= (moved >> np.uint32(CELL_BITS - AXIS_BITS)) & ALONG_X
+        cell |= moved >> np.uint32(16 + CELL_BITS)
+        return np.asarray(cell)
 
 
 def count_votes(
-    cells: NDArray[np.int64], worth: NDArray[np.float32], n: int
+    cells: NDArray[np.uint32],
+    totals: NDArray[np.float32],
+    n: int,
+    allowed: NDArray[np.bool_] | None = None,
 ) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
     """Return the ``n`` views with most votes for one motion, best first, and how many.
 
@@ -98,32 +110,37 @@ def count_votes(
     ----------
     cells
         (P,) as of ``MotionVotes.cells``.
-    worth
-        (V,) what a vote for each view counts.
+    totals
+        (V,) weight of all contours of each view; one with few has fewer votes to get.
+    allowed
+        (V,) leaves some views out.
     """
     cells = np.sort(cells)
     # What stands alone agrees with nothing.
-    ends = np.flatnonzero(np.append(cells[1:] != cells[:-1], True)) + 1
-    starts = np.append(0, ends)[: len(ends)]
-    counts = ends - starts
-    several = np.flatnonzero(counts > 1)
-    cells, counts = cells[starts[several]], counts[several].astype(np.float32)
-    counts *= worth[cells >> MOTION_BITS]
+    again = np.flatnonzero(cells[1:] == cells[:-1])
+    first = np.flatnonzero(np.diff(again, prepend=-2) != 1)
+    counts = (np.diff(first, append=len(again)) + 1).astype(np.float32)
+    cells = cells[again[first]]
+    views = cells >> np.uint32(MOTION_BITS)
+    counts *= np.float32(1.0) / np.sqrt(totals[views] + np.float32(5.0))
+    if allowed is not None:
+        counts[~allowed[views]] = 0.0
     best = np.arange(len(cells))
     if len(best) > 16 * n:
         best = np.sort(np.argpartition(-counts, 16 * n)[: 16 * n])
     total = counts[best]
     for apart in (1, 2**AXIS_BITS, 2 ** (2 * AXIS_BITS)):
-        for beside in (cells[best] - apart, cells[best] + apart):
+        for beside in (cells[best] - np.uint32(apart), cells[best] + np.uint32(apart)):
             at = np.minimum(np.searchsorted(cells, beside), len(cells) - 1)
             total += np.where(cells[at] == beside, np.float32(NEIGHBOUR) * counts[at], 0)
-    views = cells[best] >> MOTION_BITS
-    first = np.flatnonzero(np.diff(views, prepend=-1))
+    voted = views[best].astype(np.intp)
+    first = np.flatnonzero(np.diff(voted, prepend=-1))
     if len(first) == 0:
         return np.empty(0, np.intp), np.empty(0, np.float32)
     most = np.maximum.reduceat(total, first)
     order = np.argsort(-most, kind="stable")[:n]
-    return views[first][order], most[order]
+    order = order[most[order] > 0]
+    return voted[first][order], most[order]
 
 
 def phases(bofs: PlacedBofs) -> NDArray[np.uint8]:

@@ -6,12 +6,13 @@ list, and lists of about one length are merged, so that n contours are in some l
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PostingLists", "Postings"]
+__all__ = ["PostingLists", "Postings", "join_postings"]
 
 MERGE_RATIO = 4
 """A list is merged with the one before it, unless that is so many times as long."""
@@ -20,14 +21,13 @@ MERGE_RATIO = 4
 class Postings(NamedTuple):
     """P contours: their key, their view, and what else a vote needs.
 
-    ``x`` and ``z`` are centroids in steps, ``phases`` (P, 2) those of two harmonics, 256 to the
-    circle.
+    ``places`` are centroids in steps, x in the lower 16 bits and z in the upper ones; ``phases``
+    (P, 2) are those of two harmonics, 256 to the circle.
     """
 
     keys: NDArray[np.int32]
     views: NDArray[np.int32]
-    x: NDArray[np.int16]
-    z: NDArray[np.int16]
+    places: NDArray[np.int32]
     phases: NDArray[np.uint8]
 
     def sorted(self) -> Postings:
@@ -50,6 +50,13 @@ class PostingLists:
         self._lists: list[Postings] = []
         self._new: list[Postings] = []
         self._newest: Postings | None = None
+
+    @classmethod
+    def of(cls, postings: Postings) -> Self:
+        """Hold postings that are sorted."""
+        lists = cls()
+        lists._lists.append(postings)
+        return lists
 
     def add(self, postings: Postings) -> None:
         """Add a view's contours."""
@@ -96,6 +103,11 @@ class PostingLists:
         return sum(postings.nbytes for postings in self.lists())
 
 
+def join_postings(parts: Sequence[Postings]) -> Postings:
+    """Return the postings of several lists in order of keys."""
+    return _join(parts).sorted()
+
+
 def _chosen(postings: Postings, is_kept: NDArray[np.bool_], numbers: NDArray[np.int32]) -> Postings:
     """Return the contours of the views that are kept, with their new numbers."""
     inside = is_kept[postings.views]
@@ -104,5 +116,5 @@ def _chosen(postings: Postings, is_kept: NDArray[np.bool_], numbers: NDArray[np.
     return chosen._replace(views=numbers[chosen.views])
 
 
-def _join(postings: list[Postings]) -> Postings:
+def _join(postings: Sequence[Postings]) -> Postings:
     return Postings(*(np.concatenate(column) for column in zip(*postings, strict=True)))

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
+from slam_bof.cli.atlas import app as atlas
 from slam_bof.cli.bench import bench
 from slam_bof.cli.check import check
 from slam_bof.cli.config import config
@@ -106,6 +107,7 @@ for command in (
 app.add_typer(query, name="query")
 app.add_typer(evaluate, name="evaluate")
 app.add_typer(map_tools, name="map")
+app.add_typer(atlas, name="atlas")
 
 
 def main() -> None:

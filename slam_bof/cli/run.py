@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -95,6 +95,13 @@ def run(
     jobs: Annotated[
         int, typer.Option("--jobs", "-j", min=1, help="Number of sequences run at a time.")
     ] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="tcp://HOST:PORT",
+            help="Run several sequences on the Dask cluster of this scheduler (extra dask).",
+        ),
+    ] = None,
     view: Annotated[
         str | None,
         typer.Option(
@@ -109,6 +116,8 @@ def run(
     from slam_bof.slam import config as configs
 
     sequence = sequences[0] if sequences else None
+    if scheduler is not None and not (sequences and len(sequences) > 1):
+        raise typer.BadParameter("found --scheduler with one sequence, expected several")
     if sequences and len(sequences) > 1 and (resume is not None or map_ is not None):
         option = "--map" if resume is None else "--resume"
         raise typer.BadParameter(f"found {len(sequences)} sequences with {option}, expected one")
@@ -152,7 +161,8 @@ def run(
             sequences,
             chosen,
             out,
-            n_jobs=jobs,
+            n_jobs=jobs if scheduler is None else None,
+            scheduler=scheduler,
             frames=frames,
             max_frames=max_frames,
             with_color=color,
@@ -215,7 +225,8 @@ def _run_many(
     config: Config,
     out: Path,
     *,
-    n_jobs: int,
+    n_jobs: int | None,
+    scheduler: str | None,
     frames: str | None,
     quiet: bool,
     as_json: bool,
@@ -223,11 +234,15 @@ def _run_many(
 ) -> None:
     """Run sequences in folders of their own and print a table of all; exit with 1 if one failed."""
     from slam_bof.cli.console import Bar, print_json, print_table
+    from slam_bof.core import on_cluster
     from slam_bof.run import run_sequences
 
     open_ = partial(open_sequence, choice=config.dataset, frames=frames, quiet=True)
     done = []
-    with Bar("Running sequences", quiet=quiet) as bar:
+    with (
+        nullcontext() if scheduler is None else on_cluster(scheduler),
+        Bar("Running sequences", quiet=quiet) as bar,
+    ):
         found = run_sequences(
             sequences, open_, config, out, n_jobs=n_jobs, frames=frames, **options
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -29,6 +29,13 @@ class GrowingArray:
         self._n = 0
         self._n_saved = 0
         self._block: NDArray[Any] = np.empty((4, *shape), dtype)
+
+    @classmethod
+    def of(cls, rows: NDArray[Any]) -> Self:
+        """Hold given rows, such as those of a file, which stay as they are."""
+        growing = cls(rows.shape[1:], rows.dtype)
+        growing._block, growing._n, growing._n_saved = rows, len(rows), len(rows)
+        return growing
 
     def __len__(self) -> int:
         """Return the number of rows."""

@@ -59,6 +59,7 @@ from .trajectory import (
 from .virtual_camera import (
     CloudCamera as CloudCamera,
     VirtualCameraParams as VirtualCameraParams,
+    render as render,
 )
 from .visibility import (
     Agreement as Agreement,

@@ -6,6 +6,7 @@ from .export import (
 from .map_localizer import (
     LocalizedFrame as LocalizedFrame,
     MapLocalizer as MapLocalizer,
+    load_searched as load_searched,
 )
 from .map_session import (
     MapSession as MapSession,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -12,11 +12,11 @@ from slam_bof.core import registry
 from slam_bof.errors import DatasetError, MapError
 from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
-from slam_bof.slam import config as configs
+from slam_bof.slam import Config, config as configs
 from slam_bof.store import MapStore, choose_component, components_of
-from slam_bof.types import DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
+from slam_bof.types import Array, DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
 
-__all__ = ["LocalizedFrame", "MapLocalizer"]
+__all__ = ["LocalizedFrame", "MapLocalizer", "SearchedMap", "load_searched"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,6 +32,69 @@ class LocalizedFrame:
     scene: Scene | None
     keyframe: Keyframe | None
     room: str | None
+
+
+class SearchedMap(NamedTuple):
+    """What images are compared with in a map: keyframes, their depth images and poses (K, 4, 4).
+
+    ``config`` is that of the last session, ``model_hash`` the model of the map, and ``component``
+    that of the keyframes.
+    """
+
+    config: Config
+    model_hash: str | None
+    camera: Intrinsics
+    keyframes: list[Keyframe]
+    frames: list[DepthFrame]
+    T_map_camera: Array
+    component: int
+
+
+def load_searched(path: Path, component: int | None = None) -> SearchedMap:
+    """Load the keyframes of a finished map that images are compared with.
+
+    Of several components that is one, by default the largest, without culled keyframes.
+
+    Raises
+    ------
+    MapError
+        If the map has no keyframes or no depth images, is damaged, or its last run was
+        interrupted.
+    """
+    with MapStore.open(path) as store, store.snapshot():
+        sessions, camera = store.sessions(), store.intrinsics()
+        keyframes, T_map_camera = store.keyframes(), store.map_poses()
+        if not keyframes:
+            raise MapError(f"{path}: found no keyframes, expected at least one")
+        if camera is None:
+            raise MapError(
+                f"{path}: found no depth images, expected some: maps made before version 4 "
+                "have none"
+            )
+        if not np.isfinite(T_map_camera).all():
+            raise MapError(
+                f"{path}: found an interrupted run of {sessions[-1].sequence}, "
+                f"expected a finished one: resume it, or slam-bof map finish {path}"
+            )
+        config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
+        anchors = store.anchors()
+        inside = choose_component(store, component)
+        searched = np.flatnonzero(inside & (anchors == np.arange(len(anchors))))
+        frames = []
+        for k in searched.tolist():
+            frame = store.view(k)
+            if frame is None:
+                raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
+            frames.append(frame)
+        return SearchedMap(
+            config,
+            store.parameters().get("model"),
+            camera,
+            [keyframes[k] for k in searched],
+            frames,
+            T_map_camera[searched],
+            int(components_of(store)[inside][0]),
+        )
 
 
 class MapLocalizer:
@@ -82,43 +145,21 @@ class MapLocalizer:
         ModelError
             If the model that the map was made with is missing.
         """
-        path = Path(path)
-        with MapStore.open(path) as store, store.snapshot():
-            sessions, camera = store.sessions(), store.intrinsics()
-            keyframes, T_map_camera = store.keyframes(), store.map_poses()
-            if not keyframes:
-                raise MapError(f"{path}: found no keyframes, expected at least one")
-            if camera is None:
-                raise MapError(
-                    f"{path}: found no depth images, expected some: maps made before version 4 "
-                    "have none"
-                )
-            if not np.isfinite(T_map_camera).all():
-                raise MapError(
-                    f"{path}: found an interrupted run of {sessions[-1].sequence}, "
-                    f"expected a finished one: resume it, or slam-bof map finish {path}"
-                )
-            config = configs.parse_saved(sessions[-1].config, f"{path}: session {sessions[-1].id}")
-            made_with = store.parameters().get("model")
-            model = models.resolve(models.name_by_hash(config.model, made_with))
-            anchors = store.anchors()
-            inside = choose_component(store, component)
-            component = int(components_of(store)[inside][0])
-            searched = np.flatnonzero(inside & (anchors == np.arange(len(anchors))))
-            localizer = Localizer(
-                registry.build("verifiers", config.verifier.name, config.verifier.options),
-                recogniser_params=config.loops.recogniser,
-                gravity_odom=config.gravity_odom,
-                sensor=config.sensor,
-                seed=config.seed,
-            )
-            for k in searched:
-                frame = store.view(int(k))
-                if frame is None:
-                    raise MapError(f"{path}: found no depth image of keyframe {k}, expected one")
-                localizer.add(frame, T_map_camera[k], name=int(k))
-        own, labeller = {int(k): keyframes[k] for k in searched}, model.labeller(config.labels.by)
-        return cls(localizer, own, labeller, camera, config.sensor, component)
+        found = load_searched(Path(path), component)
+        config = found.config
+        model = models.resolve(models.name_by_hash(config.model, found.model_hash))
+        localizer = Localizer(
+            registry.build("verifiers", config.verifier.name, config.verifier.options),
+            recogniser_params=config.loops.recogniser,
+            gravity_odom=config.gravity_odom,
+            sensor=config.sensor,
+            seed=config.seed,
+        )
+        own = {int(keyframe.id): keyframe for keyframe in found.keyframes}
+        for id_, frame, T_map_camera in zip(own, found.frames, found.T_map_camera, strict=True):
+            localizer.add(frame, T_map_camera, name=id_)
+        labeller = model.labeller(config.labels.by)
+        return cls(localizer, own, labeller, found.camera, config.sensor, found.component)
 
     def __len__(self) -> int:
         """Return the number of keyframes that images are compared with."""

@@ -40,14 +40,14 @@ def run_sequences(
     config: Config,
     out: Path,
     *,
-    n_jobs: int = 1,
+    n_jobs: int | None = 1,
     frames: str | None = None,
     **options: Any,
 ) -> Iterator[SequenceRun]:
     """Run the mini-SLAM over sequences, each with a folder of its own under ``out``.
 
     A sequence that fails does not stop the others. The files of a run do not depend on ``n_jobs``.
-    With ``joblib.parallel_config(backend="dask")`` around the loop, the runs go to a Dask cluster.
+    With ``core.on_cluster`` around the loop, the runs go to a Dask cluster.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def run_sequences(
     config, out
         All parameters of all runs, and the folder for theirs.
     n_jobs
-        Number of runs at a time, each in a process of its own.
+        Number of runs at a time, each in a process of its own; None for that of the cluster.
     frames
         The frames of each sequence that ``open_`` selects, to be kept in the map for resuming.
     options

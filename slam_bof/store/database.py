@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import sqlite3
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
+from slam_bof.core import lock_file
 from slam_bof.errors import MapError
 from slam_bof.store.migrations import MIGRATABLE_VERSIONS, migrate
 from slam_bof.store.schema import APPLICATION_ID, SCHEMA, SCHEMA_VERSION
@@ -185,18 +185,6 @@ class MapDatabase:
             self._db.execute("VACUUM")
 
 
-def _lock(descriptor: int) -> None:
-    """Lock an open file for this process; an ``OSError`` if another one has locked it."""
-    if sys.platform == "win32":
-        import msvcrt
-
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-    else:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
 class _WriterLock:
     """A lock file beside a map, held by the one program that writes to it."""
 
@@ -211,7 +199,7 @@ class _WriterLock:
             except OSError as error:
                 raise MapError(f"{path}: cannot be opened for writing: {error.strerror}") from error
             try:
-                _lock(self._descriptor)
+                lock_file(self._descriptor)
             except (BlockingIOError, PermissionError):
                 os.close(self._descriptor)
                 raise MapError(f"{path}: {ERROR_MESSAGES[sqlite3.SQLITE_BUSY]}") from None

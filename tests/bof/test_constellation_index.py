@@ -1,51 +1,17 @@
 import numpy as np
 import pytest
+from constellations import seen_again, view
 
 from slam_bof.bof import (
     ConstellationIndex,
     IndexParams,
+    constellation_index,
     pack_constellation,
     unpack_constellation,
 )
-from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs, encode
+from slam_bof.bof.constellation import PlacedBofs
+from slam_bof.bof.motion_votes import AXIS_BITS, MOTION_BITS, MotionVotes, phases
 from slam_bof.bof.posting_lists import PostingLists, Postings
-
-ANGLE = np.arange(180) * (2 * np.pi / 180)
-
-
-def view(seed, n=30):
-    """Contours of random shapes, sizes and places."""
-    random = np.random.default_rng(seed)
-    a2, a3 = random.uniform(0.1, 0.4, (2, n, 1))
-    p2, p3 = random.uniform(0, 2 * np.pi, (2, n, 1))
-    radii = 1 + a2 * np.cos(2 * ANGLE + p2) + a3 * np.cos(3 * ANGLE + p3)
-    radii /= radii.max(axis=1, keepdims=True)
-    largest = random.uniform(0.2, 1.5, n)
-    return PlacedBofs(
-        random.integers(5, 25, n).astype(np.int8),
-        (random.uniform(-1.5, 1.5, n) + 1j * random.uniform(1, 4, n)).astype(np.complex64),
-        np.log(largest).astype(np.float32),
-        radii.mean(axis=1).astype(np.float32),
-        (7 * largest).astype(np.float32),
-        encode(radii.astype(np.float32)),
-    )
-
-
-def seen_again(bofs, yaw, shift, seed=0, share=0.6):
-    """Some contours of a view, seen from elsewhere, their places a little off, and others."""
-    random = np.random.default_rng(seed)
-    half, k = N_HARMONICS, np.arange(N_HARMONICS)
-    spectrum = (bofs.codes[:, :half] + 1j * bofs.codes[:, half:]) * np.exp(-1j * k * yaw)
-    off = random.normal(0, 0.03, (2, len(bofs.slices)))
-    centroids = bofs.centroids_m * np.exp(1j * yaw) + shift + off[0] + 1j * off[1]
-    moved = bofs._replace(
-        centroids_m=centroids.astype(np.complex64),
-        codes=np.concatenate([spectrum.real, spectrum.imag], axis=1).astype(np.float32),
-    )
-    kept = random.random(len(bofs.slices)) < share
-    return PlacedBofs(
-        *(np.concatenate([a[kept], b[~kept]]) for a, b in zip(moved, view(seed + 999), strict=True))
-    )
 
 
 @pytest.fixture(scope="module")
@@ -131,8 +97,7 @@ def test_lists_hold_all_postings_in_order():
             Postings(
                 keys.astype(np.int32),
                 told[:, 0].astype(np.int32),
-                told[:, 0].astype(np.int16),
-                told[:, 1].astype(np.int16),
+                told[:, 1].astype(np.int32),
                 told.astype(np.uint8),
             )
         )
@@ -143,7 +108,8 @@ def test_lists_hold_all_postings_in_order():
             np.bincount(views, minlength=100)[: view_id + 1], counts[: view_id + 1]
         )
     assert len(held) < 8
-    assert all((p.views == p.x).all() and (p.x[:, None] == p.phases).all() for p in held)
+    assert all((p.views == p.places).all() for p in held)
+    assert all((p.places[:, None] == p.phases).all() for p in held)
 
 
 def test_views_that_are_not_kept_are_as_if_they_had_never_been_added():
@@ -189,3 +155,74 @@ def test_slices_beside_are_looked_in_while_the_map_is_small(max_views_beside, is
     higher = view(3)._replace(slices=view(3).slices + np.int8(1))
     assert (0 in index.candidates(higher, 1)) == is_found
     assert 0 in index.candidates(view(3), 1)
+
+
+def test_an_index_says_how_many_views_it_holds(monkeypatch):
+    index = ConstellationIndex()
+    monkeypatch.setattr(constellation_index, "MAX_VIEWS", 1)
+    index.add(view(0))
+    with pytest.raises(ValueError, match="at most 1 views"):
+        index.add(view(1))
+    assert len(index) == 1
+
+
+def test_votes_are_for_the_cell_of_the_motion():
+    """A contour seen again, moved by 1 m, votes for one cell; one 20 m away for none."""
+    one = view(2, n=1)
+    votes = MotionVotes(one)
+    cells = []
+    for shift in (0.0, 1.0, 20.0):
+        rows = pack_constellation(one._replace(centroids_m=one.centroids_m + np.complex64(shift)))
+        places = np.ascontiguousarray(rows["place"]).view(np.int32)[:, 0]
+        postings = Postings(np.zeros(1, np.int32), np.array([5], np.int32), places, phases(one))
+        begin, counts = np.zeros(1, np.intp), np.ones(1, np.intp)
+        cells.append(votes.cells(np.zeros(1, np.intp), begin, counts, postings).tolist())
+    (at_rest,), (moved,), nowhere = cells
+    assert at_rest >> MOTION_BITS == moved >> MOTION_BITS == 5
+    assert moved - at_rest == 2 << AXIS_BITS  # of half a metre, along x
+    assert nowhere == []
+
+
+def same_answers(one, other, seeds):
+    for seed in seeds:
+        found, expected = one.find(view(seed), 20), other.find(view(seed), 20)
+        np.testing.assert_array_equal(found.view_ids, expected.view_ids)
+        np.testing.assert_allclose(found.scores, expected.scores, rtol=1e-5)
+
+
+def test_an_index_answers_the_same_from_its_columns_and_goes_on(index):
+    whole = ConstellationIndex()
+    for seed in range(120):
+        whole.add(view(seed))
+    columns = {name: array.copy() for name, array in whole.columns().items()}
+    for array in columns.values():
+        array.setflags(write=False)  # as of a file
+    loaded = ConstellationIndex.load(columns)
+    same_answers(loaded, whole, (0, 57, 119))
+    for one in (loaded, whole):
+        one.add(view(500))
+        one.pop()
+        assert one.add(view(501)) == 120
+    same_answers(loaded, whole, (0, 501))
+    nothing = ConstellationIndex.load(ConstellationIndex().columns())
+    assert len(nothing) == len(nothing.find(view(0), 5).view_ids) == 0
+
+
+def test_indices_are_joined_as_if_all_had_been_added_to_one():
+    views = [view(seed, n=5 + seed % 7) for seed in range(90)]
+    whole = ConstellationIndex()
+    for bofs in views:
+        whole.add(bofs)
+    parts = [
+        ConstellationIndex.of(
+            PlacedBofs(*map(np.concatenate, zip(*some, strict=True))),
+            np.array([len(bofs.slices) for bofs in some]),
+        )
+        for some in (views[:40], views[40:])
+    ]
+    joined = ConstellationIndex.joined(parts)
+    assert len(joined) == 90
+    for name, array in whole.columns().items():
+        if name in ("rows", "starts"):
+            np.testing.assert_array_equal(array, joined.columns()[name])
+    same_answers(joined, whole, range(0, 90, 9))

@@ -1,7 +1,9 @@
 """Several sequences: a folder each, the same files whatever the number of workers."""
 
 import json
+import sys
 from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from typer.testing import CliRunner
 
 from slam_bof.cli.app import app
 from slam_bof.cli.inputs import open_sequence
+from slam_bof.core import cluster as cluster_module, on_cluster
 from slam_bof.run import run_sequences
 from slam_bof.slam import preset
 
@@ -64,3 +67,57 @@ def test_the_command_runs_the_others_where_one_fails(sequences, tmp_path):
         done = CliRunner().invoke(app, [*words, option, str(tmp_path / "map.db")])
         assert done.exit_code == 2
         assert f"found 3 sequences with {option}" in done.stderr
+
+
+DIES_ONCE = """
+import os
+from pathlib import Path
+
+def open_dying(sequence, *, mark, inner):
+    # Kills its worker the first time that it opens the last sequence.
+    if "b" in Path(sequence).parts and not Path(mark).exists():
+        Path(mark).touch()
+        os.kill(os.getpid(), 9)
+    return inner(sequence)
+"""
+
+
+def test_a_cluster_makes_the_same_files_and_survives_a_killed_worker(sequences, tmp_path):
+    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+    config = preset("indoor")
+    open_ = partial(open_sequence, choice=config.dataset, frames=None, quiet=True)
+    scope: dict[str, Any] = {"__name__": "__main__"}  # which is pickled by value
+    exec(DIES_ONCE, scope)
+    mark = tmp_path / "killed"
+    dying = partial(scope["open_dying"], mark=str(mark), inner=open_)
+    two = sequences[::2]
+    local = list(run_sequences(two, open_, config, tmp_path / "local", max_frames=6))
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with (
+        distributed.LocalCluster(**options) as cluster,
+        on_cluster(cluster.scheduler_address),
+    ):
+        far = list(run_sequences(two, dying, config, tmp_path / "far", n_jobs=None, max_frames=6))
+    assert mark.exists()
+    for one, other in zip(local, far, strict=True):
+        assert other.result is not None, other.error
+        for name in FILES:
+            assert (one.result.folder / name).read_bytes() == (
+                other.result.folder / name
+            ).read_bytes()
+
+
+def test_a_scheduler_that_is_missing_is_named(sequences, tmp_path, monkeypatch):
+    words = ["run", *map(str, sequences[::2]), "--out", str(tmp_path), "--scheduler"]
+    with monkeypatch.context() as patched:
+        patched.setitem(sys.modules, "distributed", None)
+        done = CliRunner().invoke(app, [*words, "tcp://127.0.0.1:1"])
+    assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
+    assert "slam-bof[dask]" in done.stderr
+    done = CliRunner().invoke(app, ["run", str(sequences[0]), "--scheduler", "tcp://127.0.0.1:1"])
+    assert done.exit_code == 2
+    pytest.importorskip("distributed", reason="needs the extra dask")
+    monkeypatch.setattr(cluster_module, "TIMEOUT_S", 1)
+    done = CliRunner().invoke(app, [*words, "tcp://127.0.0.1:1"])
+    assert (done.exit_code, done.stderr.count("\n")) == (1, 1)
+    assert "tcp://127.0.0.1:1: found no scheduler of Dask" in done.stderr

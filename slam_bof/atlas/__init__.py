@@ -1,0 +1,5 @@
+"""The atlas: one index over the keyframes of many maps."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
