@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from slam_bof.bof import Vocabulary
+from slam_bof.scenes.continued_training import continue_network
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
 from slam_bof.scenes.levelled_cloud import levelled_cloud
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
@@ -100,10 +101,7 @@ class LevelledClassifier:
             shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
         vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
         classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
-        everything = [*features, *(item for items in copies for item in items)]
-        of_copies = [k for k, items in enumerate(copies) for _ in items]
-        frame_of = np.array([*range(len(features)), *of_copies])
-        vectors = np.array([classifier.feature_vector(item) for item in everything])
+        vectors, frame_of = classifier._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
         counted = np.ones(len(features), bool) if calibrate_on is None else calibrate_on
         classifier.network.fit(
@@ -115,6 +113,22 @@ class LevelledClassifier:
             calibrate_on=counted[frame_of] & (np.arange(len(y)) < len(features)),
         )
         return classifier
+
+    def continue_training(
+        self,
+        features: Sequence[LevelledFeatures],
+        labels: Sequence[str],
+        *,
+        copies: Sequence[Sequence[LevelledFeatures]] = (),
+    ) -> LevelledClassifier:
+        """Return a classifier that learnt from further frames too; see ``continued_training``.
+
+        Parameters are those of ``fit``. The vocabulary stays.
+        """
+        vectors, frame_of = self._feature_vectors(features, copies)
+        y = np.asarray(labels)[frame_of]
+        weights = _balanced(np.ones(len(features)), y, frame_of)
+        return replace(self, network=continue_network(self.network, vectors, y, weights))
 
     def manifest(self) -> dict[str, Any]:
         """Return the parameters and classes, as a model file's manifest holds them."""
@@ -166,6 +180,15 @@ class LevelledClassifier:
         network.classes_, network.n_features_in_ = classes, n_features
         network.temperature_ = float(arrays["temperature"])
         return cls(Vocabulary.from_words(words, **manifest["vocabulary"]), network)
+
+    def _feature_vectors(
+        self, features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
+    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        """Return the network's inputs (M, D) for frames and copies, and the frame of each (M,)."""
+        everything = [*features, *(item for items in copies for item in items)]
+        of_copies = [k for k, items in enumerate(copies) for _ in items]
+        frame_of = np.array([*range(len(features)), *of_copies])
+        return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
         """Return the network's input: the profile, and the square roots of word frequencies."""

@@ -198,9 +198,13 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         deviations = (X - self.mean_) / self.scale_
         return np.asarray(np.clip(deviations, -MAX_DEVIATIONS, MAX_DEVIATIONS))
 
+    def hidden_values(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the values (N, n_networks n_hidden) of the hidden layers for features (N, D)."""
+        hidden = self._standardise(X) @ self.hidden_ + self.hidden_bias_
+        return np.asarray(np.maximum(hidden, 0.0))
+
     def _logits(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
-        hidden = np.maximum(self._standardise(X) @ self.hidden_ + self.hidden_bias_, 0.0)
-        return np.asarray(hidden @ self.out_ + self.out_bias_)
+        return np.asarray(self.hidden_values(X) @ self.out_ + self.out_bias_)
 
 
 def _principal_components(inputs: NDArray[np.float32], n: int) -> NDArray[np.float32]:
