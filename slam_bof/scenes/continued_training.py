@@ -8,6 +8,8 @@ A class that it did not know gets an output of its own. The temperature stays.
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
@@ -70,8 +72,7 @@ def continue_network(
         start = np.zeros(inputs.shape[1] * len(classes))
         found = minimize(loss, start, jac=True, method="L-BFGS-B", options={"maxiter": 200})
     change = found.x.reshape(inputs.shape[1], len(classes))
-    continued = MlpEnsemble(**network.get_params())
-    vars(continued).update(vars(network))
+    continued = copy(network)
     continued.classes_ = classes
     continued.out_ = np.zeros((hidden.shape[1], len(classes)), np.float32)
     continued.out_[:, old] = network.out_
