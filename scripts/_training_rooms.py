@@ -95,8 +95,8 @@ class Rooms:
     def fit(self, seed: int) -> LevelledClassifier:
         """Train on the views of known scenes; synthetic rooms count less than real ones.
 
-        The more views a room has, the less counts each. Probabilities are calibrated on rooms held
-        out, which count as in training, and on scenes that are no class.
+        The more views a room has, the less counts each. Probabilities are calibrated on real
+        rooms held out, which count as in training, and on scenes that are no class.
         """
         is_known = np.array(self.labels()) != UNKNOWN_LABEL
         known, unknown = self.select(is_known), self.select(~is_known)
@@ -108,6 +108,7 @@ class Rooms:
             known.groups,
             copies=known.copies,
             weights=weights[is_known],
+            calibrate_on=known.is_real,
             unknown=unknown.features,
             unknown_weights=weights[~is_known],
             network=room_network(seed),
