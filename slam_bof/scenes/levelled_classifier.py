@@ -139,14 +139,18 @@ class LevelledClassifier:
         )
         if weights is None or groups is None:
             return classifier
-        others, _ = classifier._feature_vectors(unknown, ())
-        of_others = np.ones(len(others)) if unknown_weights is None else unknown_weights
         network, of_frames = classifier.network, np.flatnonzero(counted)
+        logits, weight = network.held_out_[of_frames], np.asarray(weights, np.float64)[of_frames]
+        if unknown:
+            of_unknown = np.ones(len(unknown)) if unknown_weights is None else unknown_weights
+            vectors, _ = classifier._feature_vectors(unknown, ())
+            logits = np.concatenate([logits, network.logits(vectors)])
+            weight = np.concatenate([weight, of_unknown])
+        assumed = [
+            _assumes_floor(item) for item in (*(features[k] for k in of_frames.tolist()), *unknown)
+        ]
         temperature, warming = fit_certainty(
-            np.concatenate([network.held_out_[of_frames], network.logits(others)]),
-            np.searchsorted(network.classes_, y[of_frames]),
-            np.concatenate([_assumed_floor(vectors[of_frames]), _assumed_floor(others)]),
-            np.concatenate([np.asarray(weights, np.float64)[of_frames], of_others]),
+            logits, np.searchsorted(network.classes_, y[of_frames]), np.array(assumed), weight
         )
         network.temperature_ = temperature
         return replace(classifier, assumed_floor_warming=warming)
@@ -232,11 +236,7 @@ class LevelledClassifier:
         everything = [*features, *(item for items in copies for item in items)]
         of_copies = [k for k, items in enumerate(copies) for _ in items]
         frame_of = np.array([*range(len(features)), *of_copies])
-        n_values = N_PROFILE_VALUES + self.vocabulary.n_words
-        vectors = np.zeros((len(everything), n_values), np.float32)
-        for row, item in zip(vectors, everything, strict=True):
-            row[:] = self.feature_vector(item)
-        return vectors, frame_of
+        return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
         """Return the network's input: the profile, and the square roots of word frequencies."""
@@ -266,7 +266,7 @@ class LevelledClassifier:
     def _probabilities(self, features: LevelledFeatures) -> Array:
         vector = self.feature_vector(features)[None]
         temperature = self.network.temperature_
-        if _assumed_floor(vector)[0]:
+        if _assumes_floor(features):
             temperature *= self.assumed_floor_warming
         return np.asarray(softmax(self.network.logits(vector)[0].astype(np.float64) / temperature))
 
@@ -279,9 +279,13 @@ def _balanced(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -
     return np.asarray(weight * len(weight) / weight.sum())
 
 
-def _assumed_floor(vectors: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """Return whether the floor was not seen, (N,), by the networks' inputs."""
-    return np.asarray(vectors[:, FLOOR_SEEN] == 0.0)
+def _assumes_floor(features: LevelledFeatures) -> bool:
+    """Return whether the features have a height profile, of a frame that does not show the floor.
+
+    Comparisons leave it out.
+    """
+    profile = features.profile
+    return len(profile) == N_PROFILE_VALUES and not profile[FLOOR_SEEN]
 
 
 def fit_certainty(
