@@ -3,8 +3,9 @@
     DATA/nyu_scenes/labels.csv            single images by room, of NYU Depth v2
     DATA/7scenes/redkitchen/seq-01 ...    sequences, each of one room (SEQUENCES)
 
-Scenes that are none of the classes are for measuring only. Every image is described as it is and
-as other sensors would have measured it; synthetic ones only so, since no sensor has measured them.
+Scenes that are none of the classes are for measuring only. Every real image is described as it is
+and as other sensors would have measured it; messy synthetic ones only so, since no sensor has
+measured them. Tidy synthetic rooms, as in the demo, are measured by one sensor.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
 
@@ -31,7 +32,7 @@ from slam_bof.scenes import (
     remeasure,
     room_network,
 )
-from slam_bof.synthetic import ROOM_KINDS, messy_views
+from slam_bof.synthetic import FIRST_KINDS, ROOM_KINDS, messy_views, training_views
 from slam_bof.types import Array, DepthFrame
 
 NYU_CAMERA = {
@@ -55,29 +56,36 @@ SEQUENCES = {
     "cafe": UNKNOWN_LABEL,
     "7scenes/stairs/seq-01": UNKNOWN_LABEL,
 }
-FIRST_SEED = 4000
-SYNTHETIC_WEIGHT = 0.3
-"""Weight of a synthetic room against a real one."""
+MESSY_SEED, TIDY_SEED = 4000, 1000
+"""Seeds of the first synthetic rooms."""
+REAL, MESSY, TIDY = 0, 1, 2
+WEIGHTS = np.array([1.0, 0.3, 0.2])
+"""Weight of a real, a messy and a tidy room."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rooms:
     """Features of N views: ``scenes`` (N,) as recorded, ``groups`` (N,), the rooms.
 
-    ``copies`` (N,) has the features by other sensors; ``is_real`` (N,) says which are no synthetic
-    rooms.
+    ``copies`` (N,) has the features by other sensors; ``origins`` (N,) are ``REAL``, ``MESSY`` or
+    ``TIDY``.
     """
 
     features: list[LevelledFeatures]
     copies: list[list[LevelledFeatures]]
     scenes: list[str]
     groups: list[str]
-    is_real: NDArray[np.bool_]
+    origins: NDArray[np.intp]
+
+    @property
+    def is_real(self) -> NDArray[np.bool_]:
+        """Whether each view (N,) is of a real room."""
+        return self.origins == REAL
 
     def select(self, kept: NDArray[np.bool_]) -> Rooms:
         """Return some of the views."""
         parts = (self.features, self.copies, self.scenes, self.groups)
-        return Rooms(*(list(compress(part, kept)) for part in parts), self.is_real[kept])
+        return Rooms(*(list(compress(part, kept)) for part in parts), self.origins[kept])
 
     def labels(self) -> list[str]:
         """Return the class of each view, ``unknown`` where its scene is none."""
@@ -88,18 +96,21 @@ class Rooms:
         """Train on the views of known scenes; synthetic rooms count less than real ones.
 
         The more views a room has, the less counts each. Probabilities are calibrated on real
-        rooms held out.
+        rooms held out, which count as in training, and on scenes that are no class.
         """
-        known = self.select(np.array(self.labels()) != UNKNOWN_LABEL)
-        _, index, counts = np.unique(known.groups, return_inverse=True, return_counts=True)
-        weights = np.where(known.is_real, 1.0, SYNTHETIC_WEIGHT) / np.sqrt(counts[index])
+        is_known = np.array(self.labels()) != UNKNOWN_LABEL
+        known, unknown = self.select(is_known), self.select(~is_known)
+        _, index, counts = np.unique(self.groups, return_inverse=True, return_counts=True)
+        weights = WEIGHTS[self.origins] / np.sqrt(counts[index])
         return LevelledClassifier.fit(
             known.features,
             known.labels(),
             known.groups,
             copies=known.copies,
-            weights=weights,
+            weights=weights[is_known],
             calibrate_on=known.is_real,
+            unknown=unknown.features,
+            unknown_weights=weights[~is_known],
             network=room_network(seed),
             seed=seed,
         )
@@ -109,26 +120,76 @@ View = tuple[DepthFrame, Array | None, str, str]
 
 
 def collect(
-    data: Path, *, n_synthetic: int, n_views: int, n_frames: int, n_copies: int, seed: int
+    data: Path,
+    *,
+    n_messy: int,
+    n_tidy: int,
+    n_views: int,
+    n_frames: int,
+    n_copies: int,
+    seed: int,
 ) -> Rooms:
-    """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room."""
+    """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room.
+
+    ``n_messy`` and ``n_tidy`` are the numbers of synthetic rooms of each kind.
+    """
+    parts = (
+        real_rooms(data, n_frames, n_copies, seed),
+        messy_rooms(n_messy, n_views, seed),
+        tidy_rooms(n_tidy, n_views),
+    )
+    return join(parts)
+
+
+def join(parts: Sequence[Rooms]) -> Rooms:
+    """Return the views of all parts."""
+    return Rooms(
+        [features for part in parts for features in part.features],
+        [copies for part in parts for copies in part.copies],
+        [scene for part in parts for scene in part.scenes],
+        [group for part in parts for group in part.groups],
+        np.concatenate([part.origins for part in parts]),
+    )
+
+
+def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
+    """Describe single images, and ``n_frames`` of each sequence."""
     rng = np.random.default_rng(seed)
-    rooms = Rooms([], [], [], [], np.zeros(0, bool))
-    real = list(_images(data)) + list(_frames(data, n_frames))
-    for frame, down, scene, room in track(real, "Real rooms"):
+    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    views = list(_images(data)) + list(_frames(data, n_frames))
+    for frame, down, scene, room in track(views, "Real rooms"):
         rooms.features.append(levelled_features(frame, gravity_camera=down))
         rooms.copies.append([_copy(frame, down, rng) for _ in range(n_copies)])
         rooms.scenes.append(scene)
         rooms.groups.append(room)
-    for number in track(range(FIRST_SEED, FIRST_SEED + n_synthetic), "Synthetic rooms"):
+    return replace(rooms, origins=np.full(len(views), REAL))
+
+
+def messy_rooms(n_rooms: int, n_views: int, seed: int) -> Rooms:
+    """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
+    rng = np.random.default_rng([seed, MESSY])
+    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    for number in track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
         for kind in ROOM_KINDS:
             for frame, down in messy_views(kind, number, n_views):
                 rooms.features.append(_copy(frame, down, rng))
-                rooms.copies.append([])
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
-    is_real = np.arange(len(rooms.features)) < len(real)
-    return Rooms(rooms.features, rooms.copies, rooms.scenes, rooms.groups, is_real)
+    n = len(rooms.features)
+    return replace(rooms, copies=[[]] * n, origins=np.full(n, MESSY))
+
+
+def tidy_rooms(n_rooms: int, n_views: int) -> Rooms:
+    """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
+    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    for number in track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
+        for kind in FIRST_KINDS:
+            for frame in training_views(kind, number, n_views):
+                rooms.features.append(levelled_features(frame))
+                rooms.scenes.append(kind)
+                rooms.groups.append(f"{kind} {number}")
+    n = len(rooms.features)
+    return replace(rooms, copies=[[]] * n, origins=np.full(n, TIDY))
 
 
 def _copy(frame: DepthFrame, down: Array | None, rng: np.random.Generator) -> LevelledFeatures:

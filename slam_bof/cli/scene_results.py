@@ -32,7 +32,7 @@ def print_results(
             r.scores.calibration_error,
             r.label_ms,
             r.train_s,
-            1e-6 * r.n_bytes,
+            None if r.n_bytes is None else 1e-6 * r.n_bytes,
         )
         for r in results
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -44,6 +45,15 @@ def train(
             metavar="PATH",
             help="Learn words and idf alone, without labels, on a sequence, a folder of sequences "
             "or one of depth images, as the paper does for loops. May be given several times.",
+        ),
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="MODEL",
+            help="Continue this model, a file or default or synthetic, instead of training a new "
+            "one. It keeps its words and classes, and learns further classes.",
         ),
     ] = None,
     camera: CAMERA = None,
@@ -91,6 +101,14 @@ def train(
             "images with groups, train on three quarters of the rooms and test on the others.",
         ),
     ] = True,
+    page: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder for a page with the results of the check, and the confusion matrix as "
+            "a PNG image.",
+        ),
+    ] = None,
     seed: SEED = 0,
     as_json: JSON = False,
     quiet: QUIET = False,
@@ -119,6 +137,13 @@ def train(
         raise ConfigError(
             "found neither --label nor --csv, expected --label NAME=PATH, or --unlabelled PATH"
         )
+    if start is not None and (unlabelled or of_bags or descriptor == "bof" or layers):
+        raise ConfigError(
+            "--from: found with --unlabelled or options for bags or layers, expected it without: "
+            "the words of a model stay, and its levelled classifier continues"
+        )
+    if page is not None and (unlabelled or not check):
+        raise ConfigError("--page: found without a check, expected --check and labels")
     from slam_bof.bof import LayerParams, PlaceParams
     from slam_bof.cli.console import Bars
     from slam_bof.datasets import (
@@ -164,11 +189,21 @@ def train(
             grid_search=grid_search,
             check=check,
             n_copies=copies if images else 0,
+            start=None if start is None else models.resolve(start),
             seed=seed,
             on_progress=bars.show,
         )
     models.save(trained.model, out)
-    _show(trained, out, as_json=as_json)
+    files = _write_page(trained, out, page) if page is not None else []
+    _show(trained, out, as_json=as_json, files=files)
+
+
+def _write_page(trained: TrainedSceneModel, out: Path, folder: Path) -> list[Path]:
+    from slam_bof.visualization import write_comparison
+
+    results = [trained.result] if trained.result is not None else []
+    subtitle = f"{trained.n_checked} frames kept from training"
+    return write_comparison(folder, results, {}, title=f"Check of {out.name}", subtitle=subtitle)
 
 
 def _check_out(out: Path) -> None:
@@ -180,7 +215,9 @@ def _check_out(out: Path) -> None:
     out.with_name(out.name + ".part").unlink()
 
 
-def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
+def _show(
+    trained: TrainedSceneModel, out: Path, *, as_json: bool, files: Sequence[Path] = ()
+) -> None:
     from slam_bof.cli.console import print_json, print_table
 
     scores, svm = trained.scores, trained.svm_params
@@ -191,6 +228,7 @@ def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
         "trained_on": trained.model.trained_on,
         "grid_search": asdict(svm) if svm else None,
         "n_checked": trained.n_checked,
+        "files": [str(file) for file in files],
     }
     if scores is not None:
         figures |= {
@@ -212,11 +250,19 @@ def _show(trained: TrainedSceneModel, out: Path, *, as_json: bool) -> None:
             [(c.label, c.n_frames, c.precision, c.recall, c.f1) for c in scores.by_class],
             title=f"Test frames, kept from training: {trained.n_checked}",
         )
+        rows = zip(scores.classes, scores.confusion.tolist(), strict=True)
+        print_table(
+            ("true class", *scores.classes),
+            [(name, *counts) for name, counts in rows],
+            title="Labelled as",
+        )
         typer.echo(
             f"Accuracy {scores.accuracy:.3f}, "
             f"mean-class accuracy {scores.mean_class_accuracy:.3f}, "
             f"expected calibration error {scores.calibration_error:.3f}."
         )
+    if files:
+        typer.echo(f"Page: {files[0]}; confusion matrix: {files[1]}")
     typer.echo(
         f"Model: {out}, {1e-6 * out.stat().st_size:.2f} MB, hash {trained.model.content_hash[:12]}"
     )

@@ -9,8 +9,8 @@ from .checkpoint import (
 )
 from .cluster import on_cluster as on_cluster
 from .failures import keep_going as keep_going
-from .images import decode_image as decode_image
 from .file_lock import lock_file as lock_file
+from .images import decode_image as decode_image
 from .native_libraries import (
     import_open3d as import_open3d,
     one_blas_thread as one_blas_thread,

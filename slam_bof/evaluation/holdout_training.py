@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from slam_bof.bof import PlaceParams
 from slam_bof.datasets import LabelledFrame, sequence_names
 from slam_bof.errors import DatasetError
+from slam_bof.evaluation.cost import Cost
+from slam_bof.evaluation.scene_benchmark import SceneResult
 from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
 from slam_bof.evaluation.scene_splits import Split, split_by_group, split_by_time
 from slam_bof.ports import Dataset
@@ -20,6 +22,7 @@ from slam_bof.scenes import (
     SceneClassifier,
     SvmParams,
     TrainingFrame,
+    continue_model,
     cut_segments,
     describe_frames,
     fit_model,
@@ -35,16 +38,24 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedSceneModel:
-    """A model, and the scores of one trained the same way on frames held out.
+    """A model, and the result of one trained the same way on frames held out.
 
-    ``scores`` is None without a check, ``svm_params`` without a grid search. ``n_checked`` is the
-    number of frames held out.
+    ``result`` is None without a check, ``svm_params`` without a grid search.
     """
 
     model: Model
-    scores: SceneScores | None = None
+    result: SceneResult | None = None
     svm_params: SvmParams | None = None
-    n_checked: int = 0
+
+    @property
+    def scores(self) -> SceneScores | None:
+        """The scores on the frames held out; None without a check."""
+        return None if self.result is None else self.result.scores
+
+    @property
+    def n_checked(self) -> int:
+        """The number of frames held out."""
+        return 0 if self.result is None else len(self.result.true)
 
 
 def train_scene_model(
@@ -58,6 +69,7 @@ def train_scene_model(
     grid_search: bool = False,
     check: bool = True,
     n_copies: int = 0,
+    start: Model | None = None,
     seed: int = 0,
     on_progress: Progress = lambda what, done, total: None,
 ) -> TrainedSceneModel:
@@ -87,6 +99,8 @@ def train_scene_model(
         (``split_by_group``).
     n_copies
         Copies of each frame as other sensors would have measured it, to train with as well.
+    start
+        A model to continue, instead of training a new one; its words and parameters stay.
     seed
         Seed of all random numbers.
     on_progress
@@ -98,12 +112,12 @@ def train_scene_model(
         If there are fewer than two classes, too few frames to test with, or fewer descriptors
         than the vocabulary has words.
     """
-    params = params or PlaceParams()
+    params = start.places if start is not None else params or PlaceParams()
     split = Split(list(frames), list(frames))
     if check:
         has_groups = any(frame.group is not None for frame in frames)
         split = split_by_group(frames, seed=seed) if has_groups else split_by_time(frames)
-    split.check()
+    split.check(min_classes=2 if start is None else 1)
     levelled = levelled and classifier is None and not grid_search
     described = describe_frames(
         _read(frames, on_progress), params, levelled=levelled, n_copies=n_copies, seed=seed
@@ -117,6 +131,8 @@ def train_scene_model(
     n_tasks, n_done = check + grid_search + 1, 0
 
     def fit(selected: FrameDescriptors) -> Model:
+        if start is not None:
+            return continue_model(start, selected, trained_on=trained_on)
         try:
             return fit_model(
                 selected,
@@ -137,14 +153,17 @@ def train_scene_model(
         )
         n_done += 1
         on_progress("Training", n_done, n_tasks)
-    scores = None
+    result = None
     if check:
-        scores = evaluate_model(fit(described.select(train)), described.select(test))
+        cost = Cost()
+        with cost.measure():
+            checked = fit(described.select(train))
+        result = replace(evaluate_model(checked, described.select(test)), train_s=cost.cpu_s)
         n_done += 1
         on_progress("Training", n_done, n_tasks)
     model = fit(described)
     on_progress("Training", n_tasks, n_tasks)
-    return TrainedSceneModel(model, scores, svm_params, len(test) if check else 0)
+    return TrainedSceneModel(model, result, svm_params)
 
 
 def train_words(
@@ -179,30 +198,35 @@ def train_words(
         raise DatasetError(f"{names}: cannot train on {len(frames)} frames: {error}") from error
 
 
-def evaluate_model(model: Model, described: FrameDescriptors) -> SceneScores:
-    """Score a model on labelled frames; frames of classes it does not know count as wrong.
+def evaluate_model(model: Model, described: FrameDescriptors) -> SceneResult:
+    """Test a model on labelled frames; frames of classes it does not know count as wrong.
 
     Raises
     ------
     DatasetError
         If the model was trained without labels.
     """
-    if model.bag_classifier is None:
-        raise DatasetError("the model was trained without labels, expected some")
     if model.levelled_classifier is not None:
         scenes = [model.levelled_classifier.label_features(f) for f in described.levelled]
+    elif model.bag_classifier is None:
+        raise DatasetError("the model was trained without labels, expected some")
     else:
         scenes = [
             model.bag_classifier.predict_bag(model.tf_idf.bag(model.vocabulary.lookup(values)))
             for values in described.by_frame()
         ]
     true = [label or "" for label in described.labels]
-    known = [str(name) for name in model.bag_classifier.classes_]
+    known = scenes[0].classes
     classes = sorted({*known, *true})
     probabilities = np.zeros((len(scenes), len(classes)))
     columns = [classes.index(name) for name in known]
     probabilities[:, columns] = [scene.probabilities for scene in scenes]
-    return scene_scores(probabilities, true, classes)
+    return SceneResult(
+        method="levelled" if model.levelled_classifier is not None else "bag",
+        scores=scene_scores(probabilities, true, classes),
+        probabilities=probabilities,
+        true=tuple(true),
+    )
 
 
 def _search_svm(

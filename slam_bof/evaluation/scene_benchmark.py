@@ -48,17 +48,17 @@ class SceneResult:
 
     ``probabilities`` (N, C) are in the order of ``scores.classes``, ``true`` (N,) are the true
     labels. ``label_ms`` is the median CPU time from image to label in milliseconds, ``train_s``
-    the CPU time of training in seconds, and ``n_bytes`` the size of what was learnt.
-    ``svm_params`` is what a grid search chose.
+    the CPU time of training in seconds, and ``n_bytes`` the size of what was learnt; None where
+    not measured. ``svm_params`` is what a grid search chose.
     """
 
     method: str
     scores: SceneScores
     probabilities: Array
     true: tuple[str, ...]
-    label_ms: float
-    train_s: float
-    n_bytes: int
+    label_ms: float | None = None
+    train_s: float | None = None
+    n_bytes: int | None = None
     svm_params: SvmParams | None = None
 
 

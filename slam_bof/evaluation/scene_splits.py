@@ -28,12 +28,12 @@ class Split:
     train: list[LabelledFrame]
     test: list[LabelledFrame]
 
-    def check(self) -> None:
+    def check(self, *, min_classes: int = 2) -> None:
         """Raise ``DatasetError`` unless there are enough frames to train and to test with."""
         classes = {frame.label for frame in self.train}
-        if len(classes) < 2:
-            found = ", ".join(sorted(classes)) or "none"
-            raise DatasetError(f"found classes to train with: {found}; expected at least two")
+        if len(classes) < min_classes:
+            found, least = ", ".join(sorted(classes)) or "none", ("one", "two")[min_classes - 1]
+            raise DatasetError(f"found classes to train with: {found}; expected at least {least}")
         few = [name for name in classes if sum(f.label == name for f in self.train) < 2]
         if few:
             raise DatasetError(f"found one frame of {', '.join(sorted(few))}, expected at least 2")

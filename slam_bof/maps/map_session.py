@@ -247,7 +247,15 @@ def check_session(
     """Check that a session of a camera, by a closer with its model, can be added to a map."""
     model, known = closer.map.model_hash, store.intrinsics()
     found = store.parameters().get("model", model)
-    if found != model:
+    if models.has_words_of(found, closer.map.model_name):
+        logger.warning(
+            "%s: made with an earlier default model, %s; its labels are those stored, and new "
+            "keyframes get theirs from %s",
+            store.path,
+            found[:12],
+            model[:12],
+        )
+    elif found != model:
         raise MapError(
             f"{store.path}: found a map made with model {found[:12]}, expected {model[:12]}: "
             "all sessions of a map use one model"

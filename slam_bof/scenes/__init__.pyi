@@ -55,6 +55,7 @@ from .stored_classifier import (
 from .training import (
     FrameDescriptors as FrameDescriptors,
     TrainingFrame as TrainingFrame,
+    continue_model as continue_model,
     describe_frames as describe_frames,
     fit_model as fit_model,
     train_model as train_model,

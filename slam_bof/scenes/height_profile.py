@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slam_bof.scenes.levelled_cloud import LevelledCloud
 from slam_bof.types import Array
 
-__all__ = ["N_PROFILE_VALUES", "measure_profile"]
+__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "measure_profile"]
 
 Floats = NDArray[np.float32]
 
@@ -36,6 +36,8 @@ N_PROFILE_VALUES = (
     N_HEIGHTS * (N_TILTS + 1) + N_LEVELS + N_BANDS * N_DISTANCES + 2 * N_HEIGHTS + 3 * 5 + 3
 )
 """Length of a profile."""
+FLOOR_SEEN = N_PROFILE_VALUES - 2
+"""Index of the value that says whether the floor is seen."""
 
 
 def measure_profile(cloud: LevelledCloud) -> Floats:

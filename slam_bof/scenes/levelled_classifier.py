@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+from scipy.special import log_softmax, softmax
 
 from slam_bof.bof import Vocabulary
-from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
+from slam_bof.scenes.continued_training import continue_network
+from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, measure_profile
 from slam_bof.scenes.levelled_cloud import levelled_cloud
-from slam_bof.scenes.mlp_ensemble import MlpEnsemble
+from slam_bof.scenes.mlp_ensemble import TEMPERATURES, MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
@@ -22,6 +25,10 @@ MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
 """Least numbers that a model may divide by."""
 
 N_WORDS = 400
+MAX_SHAPES = 40_000
+"""The vocabulary is learnt from at most this many shapes, drawn at random."""
+MAX_WARMING = 4.0
+"""Largest ``assumed_floor_warming``."""
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
 
 
@@ -30,11 +37,13 @@ class LevelledFeatures:
     """Features of one frame.
 
     ``profile`` (N_PROFILE_VALUES,) is the height profile, ``shapes`` (C, N_SHAPE_VALUES) has a
-    descriptor of each contour.
+    descriptor of each contour. ``otherwise`` are the features if the floor is where it may be
+    instead (``LevelledCloud.possible_height_m``).
     """
 
     profile: NDArray[np.float32]
     shapes: NDArray[np.float32]
+    otherwise: LevelledFeatures | None = None
 
 
 def levelled_features(
@@ -42,23 +51,30 @@ def levelled_features(
 ) -> LevelledFeatures:
     """Return the features of a frame; parameters are those of ``levelled_cloud``."""
     cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
-    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud))
+    otherwise = None
+    if cloud.possible_height_m is not None:
+        near = replace(cloud, camera_height_m=cloud.possible_height_m, floor_seen=True)
+        otherwise = LevelledFeatures(measure_profile(near), shape_descriptors(near))
+    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud), otherwise)
 
 
 def room_network(seed: int = 0) -> MlpEnsemble:
     """Return a network, not fitted yet, for a few hundred images of many rooms."""
-    return MlpEnsemble(n_hidden=64, n_steps=600, n_components=160, seed=seed)
+    return MlpEnsemble(n_hidden=64, n_networks=4, n_steps=600, n_components=160, seed=seed)
 
 
 @dataclass(frozen=True, eq=False)
 class LevelledClassifier:
     """A ``Labeller`` by levelled features: a vocabulary of shapes, and a network on all of them.
 
-    The network's input is the height profile and the histogram of shape words.
+    The network's input is the height profile and the histogram of shape words. Where no floor is
+    seen, heights above it are assumed; the network's temperature is then multiplied by
+    ``assumed_floor_warming``, so that the label is less certain.
     """
 
     vocabulary: Vocabulary
     network: MlpEnsemble
+    assumed_floor_warming: float = 1.0
 
     @classmethod
     def fit(
@@ -73,9 +89,13 @@ class LevelledClassifier:
         copies: Sequence[Sequence[LevelledFeatures]] = (),
         weights: ArrayLike | None = None,
         calibrate_on: NDArray[np.bool_] | None = None,
+        unknown: Sequence[LevelledFeatures] = (),
+        unknown_weights: ArrayLike | None = None,
         seed: int = 0,
     ) -> Self:
         """Learn a vocabulary and a network.
+
+        Where groups are rooms, ``fit_certainty`` then fits how certain labels are.
 
         Parameters
         ----------
@@ -95,18 +115,21 @@ class LevelledClassifier:
             their number of frames.
         calibrate_on
             (N,) whether a frame counts for the temperature; by default all do. Copies never do.
+        unknown, unknown_weights
+            Features of frames that show none of the classes, and their weights. Of them labels are
+            to be as uncertain as possible.
         seed
             Seed of the vocabulary and of the default network.
         """
         shapes = np.concatenate([item.shapes for item in features])
         if len(shapes) == 0:
             shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
+        if len(shapes) > MAX_SHAPES:
+            rng = np.random.default_rng(seed)
+            shapes = shapes[np.sort(rng.permutation(len(shapes))[:MAX_SHAPES])]
         vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
         classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
-        everything = [*features, *(item for items in copies for item in items)]
-        of_copies = [k for k, items in enumerate(copies) for _ in items]
-        frame_of = np.array([*range(len(features)), *of_copies])
-        vectors = np.array([classifier.feature_vector(item) for item in everything])
+        vectors, frame_of = classifier._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
         counted = np.ones(len(features), bool) if calibrate_on is None else calibrate_on
         classifier.network.fit(
@@ -117,7 +140,39 @@ class LevelledClassifier:
             weights=None if weights is None else _balanced(weights, y, frame_of),
             calibrate_on=counted[frame_of] & (np.arange(len(y)) < len(features)),
         )
-        return classifier
+        if weights is None or groups is None:
+            return classifier
+        network, of_frames = classifier.network, np.flatnonzero(counted)
+        logits, weight = network.held_out_[of_frames], np.asarray(weights, np.float64)[of_frames]
+        if unknown:
+            of_unknown = np.ones(len(unknown)) if unknown_weights is None else unknown_weights
+            vectors, _ = classifier._feature_vectors(unknown, ())
+            logits = np.concatenate([logits, network.logits(vectors)])
+            weight = np.concatenate([weight, of_unknown])
+        assumed = [
+            _assumes_floor(item) for item in (*(features[k] for k in of_frames.tolist()), *unknown)
+        ]
+        temperature, warming = fit_certainty(
+            logits, np.searchsorted(network.classes_, y[of_frames]), np.array(assumed), weight
+        )
+        network.temperature_ = temperature
+        return replace(classifier, assumed_floor_warming=warming)
+
+    def continue_training(
+        self,
+        features: Sequence[LevelledFeatures],
+        labels: Sequence[str],
+        *,
+        copies: Sequence[Sequence[LevelledFeatures]] = (),
+    ) -> LevelledClassifier:
+        """Return a classifier that learnt from further frames too; see ``continued_training``.
+
+        Parameters are those of ``fit``. The vocabulary stays.
+        """
+        vectors, frame_of = self._feature_vectors(features, copies)
+        y = np.asarray(labels)[frame_of]
+        weights = _balanced(np.ones(len(features)), y, frame_of)
+        return replace(self, network=continue_network(self.network, vectors, y, weights))
 
     def manifest(self) -> dict[str, Any]:
         """Return the parameters and classes, as a model file's manifest holds them."""
@@ -133,7 +188,10 @@ class LevelledClassifier:
         """Return the arrays that were learnt, by name."""
         learnt = {name: getattr(self.network, f"{name}_") for name in NETWORK_ARRAYS}
         temperature = np.array(self.network.temperature_)
-        return {"words": self.vocabulary.words_, "temperature": temperature, **learnt}
+        arrays = {"words": self.vocabulary.words_, "temperature": temperature, **learnt}
+        if self.assumed_floor_warming != 1.0:  # absent in older files
+            arrays["assumed_floor_warming"] = np.array(self.assumed_floor_warming)
+        return arrays
 
     @classmethod
     def from_arrays(cls, manifest: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -157,6 +215,7 @@ class LevelledClassifier:
             "out": (n_neurons, len(classes)),
             "out_bias": (len(classes),),
         }
+        warming = arrays.get("assumed_floor_warming", np.array(1.0))
         for name, shape in shapes.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
@@ -165,11 +224,23 @@ class LevelledClassifier:
         for name, least in (("scale", MIN_SCALE), ("temperature", MIN_TEMPERATURE)):
             if (found := float(arrays[name].min())) < least:
                 raise ValueError(f"levels/{name}: found {found:g}, expected {least:g} or more")
+        if warming.shape != () or not 1.0 <= warming <= MAX_WARMING:
+            raise ValueError(f"levels/assumed_floor_warming must be a number, 1 to {MAX_WARMING:g}")
         for name in NETWORK_ARRAYS:
             setattr(network, f"{name}_", arrays[name])
         network.classes_, network.n_features_in_ = classes, n_features
         network.temperature_ = float(arrays["temperature"])
-        return cls(Vocabulary.from_words(words, **manifest["vocabulary"]), network)
+        vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
+        return cls(vocabulary, network, float(warming))
+
+    def _feature_vectors(
+        self, features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
+    ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
+        """Return the network's inputs (M, D) for frames and copies, and the frame of each (M,)."""
+        everything = [*features, *(item for items in copies for item in items)]
+        of_copies = [k for k, items in enumerate(copies) for _ in items]
+        frame_of = np.array([*range(len(features)), *of_copies])
+        return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
         """Return the network's input: the profile, and the square roots of word frequencies."""
@@ -185,11 +256,23 @@ class LevelledClassifier:
         return self.label_features(levelled_features(frame, gravity_camera=gravity_camera))
 
     def label_features(self, features: LevelledFeatures) -> Scene:
-        """Return the scene by the features of a frame."""
-        probabilities = self.network.probabilities(self.feature_vector(features)[None])[0]
+        """Return the scene by the features of a frame; the mean over both heights, if two may be.
+
+        A label that hangs on where the floor is assumed is thus not certain.
+        """
+        probabilities = self._probabilities(features)
+        if features.otherwise is not None:
+            probabilities = (probabilities + self._probabilities(features.otherwise)) / 2
         best = int(probabilities.argmax())
         classes = tuple(str(label) for label in self.network.classes_)
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
+
+    def _probabilities(self, features: LevelledFeatures) -> Array:
+        vector = self.feature_vector(features)[None]
+        temperature = self.network.temperature_
+        if _assumes_floor(features):
+            temperature *= self.assumed_floor_warming
+        return np.asarray(softmax(self.network.logits(vector)[0].astype(np.float64) / temperature))
 
 
 def _balanced(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -> Array:
@@ -198,3 +281,46 @@ def _balanced(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -
     _, index = np.unique(y, return_inverse=True)
     weight /= np.sqrt(np.bincount(index, weight))[index]
     return np.asarray(weight * len(weight) / weight.sum())
+
+
+def _assumes_floor(features: LevelledFeatures) -> bool:
+    """Return whether the features have a height profile, of a frame that does not show the floor.
+
+    Comparisons leave it out.
+    """
+    profile = features.profile
+    return len(profile) == N_PROFILE_VALUES and not profile[FLOOR_SEEN]
+
+
+def fit_certainty(
+    logits: NDArray[np.float32],
+    index: NDArray[np.intp],
+    assumed_floor: NDArray[np.bool_],
+    weight: Array,
+) -> tuple[float, float]:
+    """Return the temperature, and its factor where the floor is assumed, at least 1.
+
+    They minimise the cross entropy with the true classes, and with equal probabilities for all
+    classes where a frame shows none of them.
+
+    Parameters
+    ----------
+    logits
+        (N, C) of frames held out from training.
+    index
+        (M,) true classes of the first M of them; the others show no class.
+    assumed_floor, weight
+        (N,) whether the floor was not seen, and the weight of each.
+    """
+    targets = np.full(logits.shape, 1.0 / logits.shape[1])
+    targets[: len(index)] = np.eye(logits.shape[1])[index]
+
+    def cross_entropy(parameters: Array) -> float:
+        temperature = np.exp(parameters[0] + parameters[1] * assumed_floor)
+        logs = log_softmax(logits.astype(np.float64) / temperature[:, None], axis=1)
+        return -float(weight @ (targets * logs).sum(axis=1)) / float(weight.sum())
+
+    bounds = [tuple(np.log(TEMPERATURES)), (0.0, np.log(MAX_WARMING))]
+    best = minimize(cross_entropy, np.array([0.3, 0.1]), bounds=bounds, method="L-BFGS-B").x
+    temperature, warming = np.exp(best)
+    return float(temperature), float(warming)

@@ -32,6 +32,9 @@ LOWEST_PERCENTILE = 99.5
 """Percentile of the points' y that counts as the lowest point; the rest are outliers."""
 BELOW_FLOOR_M = 0.15
 """A surface is no floor if the lowest point is more than this below it."""
+MIN_POSSIBLE_FLOOR_SHARE, MAX_SHARE_BELOW = 0.15, 0.1
+"""Where no floor is seen, a nearer level surface may be one if it has at least this share of the
+grid's pixels, and at most this share of the points lies below it."""
 FLOOR_COSINE = 0.9
 """Least cosine between the normal of a level surface and the vertical."""
 
@@ -43,7 +46,8 @@ class LevelledCloud:
     ``points`` (N, 3) are those of about 160 x 120 pixels. ``grid_points`` and ``grid_normals``
     (h, w, 3), of every second of these pixels, are zero where unknown. ``pixel_rad`` is the
     angle that a pixel of the grid spans. The floor is ``camera_height_m`` below the camera, an
-    assumption unless ``floor_seen``.
+    assumption unless ``floor_seen``. ``possible_height_m`` is another possible height, where a
+    large level surface is a floor near the camera of a small robot, or a table.
     """
 
     points: NDArray[np.float32]
@@ -52,6 +56,7 @@ class LevelledCloud:
     pixel_rad: float
     camera_height_m: float
     floor_seen: bool
+    possible_height_m: float | None = None
 
 
 def levelled_cloud(frame: DepthFrame, *, gravity_camera: Array | None = None) -> LevelledCloud:
@@ -81,6 +86,9 @@ def levelled_cloud(frame: DepthFrame, *, gravity_camera: Array | None = None) ->
         pixel_rad=1.0 / view.intrinsics.fx,
         camera_height_m=height_m,
         floor_seen=floor_seen,
+        possible_height_m=(
+            None if floor_seen else _find_possible_floor(points[:, 1], grid_points, grid_normals)
+        ),
     )
 
 
@@ -108,3 +116,20 @@ def _find_floor(
         if floor_m > max(MIN_HEIGHT_M, lowest_m - BELOW_FLOOR_M):
             return floor_m, True
     return max(DEFAULT_HEIGHT_M, lowest_m), False
+
+
+def _find_possible_floor(
+    y: NDArray[np.float32], grid_points: NDArray[np.float32], grid_normals: NDArray[np.float32]
+) -> float | None:
+    """Return how far below the camera a level surface is that may be the floor, if one is."""
+    is_level = grid_normals[..., 1] < -FLOOR_COSINE
+    counts, edges = np.histogram(
+        grid_points[..., 1][is_level], np.arange(HEIGHTS_M[0], MIN_HEIGHT_M + STEP_M, STEP_M)
+    )
+    largest = int((counts[:-1] + counts[1:]).argmax())
+    share = (counts[largest] + counts[largest + 1]) / is_level.size
+    low, high = edges[largest], edges[largest + 2]
+    if share < MIN_POSSIBLE_FLOOR_SHARE or (y > high + BELOW_FLOOR_M).mean() > MAX_SHARE_BELOW:
+        return None
+    level_y = grid_points[..., 1][is_level]
+    return float(np.median(level_y[(level_y >= low) & (level_y < high)]))

@@ -75,6 +75,8 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         (n_networks n_hidden, n_classes), with their biases.
     temperature_ : float
         Divisor of the logits.
+    held_out_ : (n_frames, n_classes) float32
+        Logits of the samples, each by networks trained without its fold; not saved with a model.
     """
 
     n_hidden: int = 128
@@ -132,8 +134,9 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
                 self._fit_networks(
                     X[train], index[train], None if weight is None else weight[train]
                 )
-                held_out[test] = self._logits(X[test])
+                held_out[test] = self.logits(X[test])
             self._fit_networks(X, index, weight)
+        self.held_out_ = held_out
         splits_sequences = groups is None or n_groups is not None
         bounds = UNGROUPED_TEMPERATURES if splits_sequences else TEMPERATURES
         self.temperature_ = _fit_temperature(held_out[counted], index[counted], bounds, n_groups)
@@ -152,7 +155,7 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
 
     def probabilities(self, X: NDArray[np.float32]) -> Array:
         """Return what ``predict_proba`` returns, without its slow checks."""
-        logits = self._logits(X).astype(np.float64)
+        logits = self.logits(X).astype(np.float64)
         return np.asarray(softmax(logits / self.temperature_, axis=-1))
 
     def _fit_networks(
@@ -198,9 +201,14 @@ class MlpEnsemble(ClassifierMixin, BaseEstimator):
         deviations = (X - self.mean_) / self.scale_
         return np.asarray(np.clip(deviations, -MAX_DEVIATIONS, MAX_DEVIATIONS))
 
-    def _logits(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
-        hidden = np.maximum(self._standardise(X) @ self.hidden_ + self.hidden_bias_, 0.0)
-        return np.asarray(hidden @ self.out_ + self.out_bias_)
+    def hidden_values(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the values (N, n_networks n_hidden) of the hidden layers for features (N, D)."""
+        hidden = self._standardise(X) @ self.hidden_ + self.hidden_bias_
+        return np.asarray(np.maximum(hidden, 0.0))
+
+    def logits(self, X: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the mean logits (N, n_classes) of the networks for features (N, D)."""
+        return np.asarray(self.hidden_values(X) @ self.out_ + self.out_bias_)
 
 
 def _principal_components(inputs: NDArray[np.float32], n: int) -> NDArray[np.float32]:

@@ -42,6 +42,7 @@ from slam_bof.scenes.stored_classifier import (
 __all__ = [
     "FORMAT_VERSION",
     "Model",
+    "has_words_of",
     "load",
     "name_by_hash",
     "resolve",
@@ -67,6 +68,9 @@ DEFAULT = "default"
 INCLUDED = (DEFAULT, "synthetic")
 """Names of the models that come with slam_bof: one learnt from real and synthetic rooms, one from
 synthetic rooms only, which was the default before."""
+SUPERSEDED = ("9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356",)
+"""Content hashes of earlier default models that are included no more. That of today has the same
+words, idf and classes as they have."""
 LEVELLED_ENTRIES = "levels/"
 """Prefix of the arrays of the levelled classifier."""
 MAX_WEIGHT = 1e6
@@ -170,6 +174,11 @@ def name_by_hash(name: str, content_hash: str | None) -> str:
             if file.is_file() and _stored_hash(file) == content_hash:
                 return included
     return name
+
+
+def has_words_of(content_hash: str, name: str | Path) -> bool:
+    """Return whether a model, by name, describes frames as an earlier one of that hash did."""
+    return name == DEFAULT and content_hash in SUPERSEDED
 
 
 def _included_file(name: str) -> Traversable:

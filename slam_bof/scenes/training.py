@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.bof import PlaceParams, TfIdf, Vocabulary, count_words, descriptors
+from slam_bof.errors import ModelError
 from slam_bof.scenes.augmentation import remeasure
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.folds import cut_segments
@@ -22,7 +23,14 @@ from slam_bof.scenes.levelled_classifier import (
 from slam_bof.scenes.model import Model
 from slam_bof.types import Array, DepthFrame
 
-__all__ = ["FrameDescriptors", "TrainingFrame", "describe_frames", "fit_model", "train_model"]
+__all__ = [
+    "FrameDescriptors",
+    "TrainingFrame",
+    "continue_model",
+    "describe_frames",
+    "fit_model",
+    "train_model",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -222,4 +230,34 @@ def fit_model(
         bag_classifier=fitted_classifier,
         trained_on=trained_on,
         levelled_classifier=levelled_classifier,
+    )
+
+
+def continue_model(model: Model, described: FrameDescriptors, *, trained_on: str) -> Model:
+    """Continue the training of a model's levelled classifier with labelled frames.
+
+    Words and idf stay. There is no classifier of bags in what results: a support vector machine
+    cannot be continued without the frames that it was trained with.
+
+    Raises
+    ------
+    ModelError
+        If the model has no levelled classifier.
+    """
+    if model.levelled_classifier is None:
+        raise ModelError(
+            f"the model ({model.trained_on}): found no levelled classifier, expected "
+            "one to continue"
+        )
+    labelled = [label is not None for label in described.labels]
+    classifier = model.levelled_classifier.continue_training(
+        list(compress(described.levelled, labelled)),
+        [label for label in described.labels if label is not None],
+        copies=list(compress(described.copies, labelled)),
+    )
+    return replace(
+        model,
+        bag_classifier=None,
+        levelled_classifier=classifier,
+        trained_on=f"{model.trained_on}; continued with {trained_on}",
     )

@@ -65,8 +65,8 @@ class KeyframeMap:
         Number of the current session, from 0.
     graph
         The pose graph of the keyframes.
-    model_hash
-        Content hash of the model whose vocabulary describes the keyframes.
+    model_name, model_hash
+        The model whose vocabulary describes the keyframes, and its content hash.
     T_map_track
         (4, 4) correction of the track that the newest keyframe belongs to:
         ``T_map_camera = T_map_track @ T_odom_camera``.
@@ -78,7 +78,7 @@ class KeyframeMap:
         self.first_keyframe = 0
         self.session = 0
         self.T_map_track: Pose = np.eye(4)
-        self.model_hash = model.content_hash
+        self.model_name, self.model_hash = config.model, model.content_hash
         self._config = config
         self._gravity_odom = np.asarray(config.gravity_odom, dtype=np.float64)
         self._describer = model.describer()

@@ -167,6 +167,10 @@ _SIZES_M: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "dining_room": ((3.2, 4.6), (3.6, 5.2)),
     "classroom": ((5.0, 7.5), (5.5, 8.5)),
 }
+_MAX_MESSY_CORRIDOR_GROWTH = 3.0
+"""Corridors of public buildings are long."""
+_BARE_CORRIDORS = 0.5
+"""Share of messy corridors in which nothing stands."""
 _FURNISH: dict[str, Callable[[Furnisher], None]] = {
     "bathroom": _bathroom,
     "bedroom": _bedroom,
@@ -212,7 +216,8 @@ def make_room(
         (K, 4) columns x, y, bottom, radius that furniture leaves free, from ``bottom`` up; by
         default none.
     messy
-        Whether sizes vary more, walls hold less or more, and things stand about on the floor.
+        Whether sizes vary more, walls hold less or more, and things stand about on the floor;
+        corridors are up to three times as long, and half of them bare.
 
     Returns
     -------
@@ -227,11 +232,12 @@ def make_room(
     if kind not in _FURNISH:
         raise ValueError(f"kind must be one of {', '.join(ROOM_KINDS)}, got {kind!r}")
     rng = np.random.default_rng([seed, _NUMBERS[kind]])
+    is_corridor = kind == "corridor"
     if size is None:
         (a, b), (c, d) = _SIZES_M[kind]
         size = (rng.uniform(a, b), rng.uniform(c, d), rng.uniform(2.4, 2.8))
         if messy:
-            growth = rng.uniform(0.9, 1.5, 2)
+            growth = rng.uniform(0.9, (1.5, _MAX_MESSY_CORRIDOR_GROWTH if is_corridor else 1.5))
             size = (size[0] * growth[0], size[1] * growth[1], rng.uniform(2.3, 3.4))
     width, depth, height = size
     if openings is None:
@@ -239,11 +245,12 @@ def make_room(
     if clear is None:
         clear = np.empty((0, 4))
     placer = Furnisher(width, depth, openings, clear, rng)
-    _FURNISH[kind](placer)
-    density = rng.uniform(0.3, 2.2) if messy else 1.8
-    placer.against_wall(_filler, n=round(density * (width + depth)))
-    if messy:
-        _scatter(placer)
+    if not (messy and is_corridor and rng.random() < _BARE_CORRIDORS):
+        _FURNISH[kind](placer)
+        density = rng.uniform(0.3, 2.2) if messy else 1.8
+        placer.against_wall(_filler, n=round(density * (width + depth)))
+        if messy:
+            _scatter(placer)
     for _ in range(sum(opening.pane == "window" for opening in openings)):
         placer.against_wall(f.radiator)
     placer.hanging(f.ceiling_lamp, height)

@@ -17,6 +17,8 @@ from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 __all__ = ["messy_views", "shaded_views", "training_views"]
 
 _TRIES = 200
+_ELONGATED = 2.5
+"""In messy rooms this many times as long as wide, three of four views look along the room."""
 _SMALL_CAMERA = Intrinsics(320, 240, 285.0, 285.0, 159.5, 119.5)
 
 
@@ -61,14 +63,16 @@ def shaded_views(
 def messy_views(kind: str, seed: int, n_views: int) -> Iterator[tuple[DepthFrame, Array]]:
     """Yield exact views of one random messy room, each with gravity in the camera frame.
 
-    The images are 320x240 float metres without a sensor's errors. Eyes are 0.8 to 1.9 m high.
+    The images are 320x240 float metres without a sensor's errors. Eyes are 0.8 to 1.9 m high. Who
+    walks along a corridor mostly looks along it.
     Parameters are those of ``training_views``.
     """
     room = make_room(kind, seed, messy=True)
     scene = Scene3D(room.mesh, _SMALL_CAMERA)
     rng = np.random.default_rng([seed, 12])
+    is_elongated = bool(room.size[1] > _ELONGATED * room.size[0])
     for i in range(n_views):
-        T_world_camera, view = _look(room, scene, rng, (0.8, 1.9))
+        T_world_camera, view = _look(room, scene, rng, (0.8, 1.9), along=is_elongated)
         gravity_camera = T_world_camera[:3, :3].T @ np.array([0.0, 0.0, -1.0])
         yield DepthFrame(i / FRAME_RATE_HZ, view.depth_m, scene.intrinsics), gravity_camera
 
@@ -90,10 +94,12 @@ def _look(
     scene: Scene3D,
     rng: np.random.Generator,
     heights_m: tuple[float, float] = (1.1, 1.7),
+    *,
+    along: bool = False,
 ) -> tuple[Pose, View]:
     """Choose a viewpoint that shows the room and nothing too near."""
     for _ in range(_TRIES):
-        T_world_camera = _viewpoint(room, rng, heights_m)
+        T_world_camera = _viewpoint(room, rng, heights_m, along=along)
         view = scene.view(T_world_camera)
         seen = view.depth_m[::8, ::8]
         near = np.percentile(seen[seen > 0], 15) if (seen > 0).any() else 0.0
@@ -102,8 +108,10 @@ def _look(
     return T_world_camera, view
 
 
-def _viewpoint(room: Room, rng: np.random.Generator, heights_m: tuple[float, float]) -> Pose:
-    """Choose a free place in the room and a direction, most often across the room."""
+def _viewpoint(
+    room: Room, rng: np.random.Generator, heights_m: tuple[float, float], *, along: bool
+) -> Pose:
+    """Choose a free place in the room and a direction, most often across (or along) the room."""
     width, depth, _ = room.size
     best, best_room = np.zeros(3), -1.0
     for _ in range(_TRIES):
@@ -117,4 +125,6 @@ def _viewpoint(room: Room, rng: np.random.Generator, heights_m: tuple[float, flo
             break
     across = np.arctan2(depth / 2 - best[1], width / 2 - best[0])
     yaw = across + rng.normal(0.0, 1.2)
+    if along and rng.random() < 0.75:
+        yaw = rng.choice([-1.0, 1.0]) * np.pi / 2 + rng.normal(0.0, 0.35)
     return camera_poses(best, yaw, rng.normal(0.25, 0.18), rng.normal(0.0, 0.05))

@@ -94,10 +94,10 @@ def _table(results: Sequence[SceneResult]) -> str:
             result.scores.calibration_error,
             result.label_ms,
             result.train_s,
-            1e-6 * result.n_bytes,
+            None if result.n_bytes is None else 1e-6 * result.n_bytes,
         )
         cells = (
-            f"<td>{form.format(value)}</td>"
+            f"<td>{'' if value is None else form.format(value)}</td>"
             for (_, form), value in zip(COLUMNS, values, strict=True)
         )
         rows.append(f"<tr><th>{escape(result.method)}</th>{''.join(cells)}</tr>")

@@ -56,8 +56,14 @@ def test_train_writes_a_model_and_prints_its_accuracy(boxes: Path, tmp_path: Pat
 
 def test_train_searches_and_prints(boxes: Path, tmp_path: Path) -> None:
     out = tmp_path / "boxes.bof"
-    result = slam_bof("train", *labels(boxes), "-o", out, "--words", 8, "--grid-search")
+    page = tmp_path / "check"
+    arguments = (*labels(boxes), "-o", out, "--words", 8, "--grid-search", "--page", page)
+    result = slam_bof("train", *arguments)
     assert result.exit_code == 0, result.output
+    assert "F1" in result.output
+    assert "Labelled as" in result.output
+    assert "24 frames kept from training" in (page / "scenes.html").read_text(encoding="utf-8")
+    assert cv2.imread(str(page / "confusion_bag.png")).mean() > 0
     assert result.stdout.startswith("Grid search: svm-")
     assert "precision" in result.stdout
     assert f"Model: {out}" in result.stdout
@@ -78,6 +84,23 @@ def test_train_learns_words_without_labels(boxes: Path, tmp_path: Path) -> None:
     assert trained.vocabulary.n_words == len(trained.tf_idf.idf_)
     assert "expected it alone" in refusal("train", *paths, *labels(boxes), "-o", out)
     assert "cannot train on" in refusal("train", *paths, "-o", out, "--words", 100_000)
+
+
+def test_train_continues_a_model(boxes: Path, tmp_path: Path) -> None:
+    out = tmp_path / "more.bof"
+    arguments = ("train", "--from", "synthetic", "-o", out, "--quiet", "--json")
+    result = slam_bof(*arguments, *labels(boxes))
+    assert result.exit_code == 0, result.output
+    said, start = json.loads(result.stdout), model.resolve("synthetic")
+    of_boxes = [row for row in said["by_class"] if row["n_frames"]]
+    assert [row["label"] for row in of_boxes] == sorted(SIZES_M)
+    assert said["accuracy"] > 0.8
+    trained = model.load(out)
+    assert {*start.levelled_classifier.network.classes_} < {*said["classes"]}
+    assert trained.trained_on.startswith(start.trained_on)
+    assert (trained.vocabulary.words_ == start.vocabulary.words_).all()
+    assert slam_bof(*arguments, "--label", f"hall={boxes / 'hall'}").exit_code == 0
+    assert "--from: found with" in refusal(*arguments, *labels(boxes), *BAGS)
 
 
 def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path: Path) -> None:
@@ -121,6 +144,9 @@ def test_training_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
         "train", *labels(boxes), "-o", tmp_path, "--quiet"
     )
     assert slam_bof("train", *hall, "-o", "x.bof", "--classifier", "magic").exit_code == 2
+    assert "--page: found without a check" in refusal(
+        "train", *out, *labels(boxes), "--no-check", "--page", tmp_path
+    )
     assert list(tmp_path.iterdir()) == []
 
 

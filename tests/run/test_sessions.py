@@ -254,3 +254,17 @@ def test_a_map_of_an_earlier_default_model_keeps_its_model(sequences, tmp_path, 
         assert store.parameters()["model"] == earlier.content_hash
         assert len(store.sessions()) == 2
         assert {name for k in store.keyframes() for name in k.scene.classes} == classes
+
+
+def test_a_map_of_a_default_model_of_the_past_is_continued(sequences, tmp_path, caplog):
+    first, second = sequences
+    map_file = tmp_path / "old.db"
+    run_sequence(first, QUICK, tmp_path, map_file=map_file)
+    with MapStore.open(map_file, read_only=False) as store:
+        store.set_parameters({"model": models.SUPERSEDED[0]})
+    run_sequence(second, QUICK, tmp_path, map_file=map_file)
+    with MapStore.open(map_file) as store:
+        assert len(store.sessions()) == 2
+    assert "made with an earlier default model, 9e04125ebb8c; its labels are" in caplog.text
+    with pytest.raises(MapError, match="all sessions of a map use one model"):
+        run_sequence(second, override(QUICK, ["model=synthetic"]), tmp_path, map_file=map_file)

@@ -39,6 +39,18 @@ def test_without_a_floor_in_view_the_height_is_guessed():
     assert view.camera_height_m == 1.4
 
 
+def test_a_low_camera_sees_what_may_be_the_floor():
+    view = levelled_cloud(table_frame(eye_m=0.5, pitch=0.5, ahead_m=6.0))
+    assert (view.camera_height_m, view.floor_seen) == (1.4, False)
+    assert view.possible_height_m == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_table_above_something_lower_is_no_floor():
+    # So near that the table fills the lower half of the image; beside it the floor is seen.
+    view = levelled_cloud(table_frame(table_m=0.9, eye_m=1.5, ahead_m=0.9, pitch=0.5))
+    assert view.possible_height_m is None
+
+
 def test_nothing_seen_is_no_error():
     view = levelled_cloud(empty_frame())
     assert view.points.shape == (0, 3)

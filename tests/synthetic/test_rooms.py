@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from slam_bof.synthetic import ROOM_KINDS, distance_to_boxes, furniture, make_room, training_views
+from slam_bof.synthetic import (
+    ROOM_KINDS,
+    distance_to_boxes,
+    furniture,
+    make_room,
+    messy_views,
+    training_views,
+)
 from slam_bof.synthetic.furnisher import Furnisher
 from slam_bof.synthetic.walls import Opening
 from slam_bof.types import INVALID_DEPTH_MM
@@ -101,3 +108,12 @@ def test_training_views_look_into_the_room(kind):
         assert seen.size > 0.4 * frame.depth.size
         assert np.median(seen) > 700
     assert (frames[0].depth != frames[1].depth).any()
+
+
+def test_messy_corridors_are_long_often_bare_and_looked_along():
+    corridors = [make_room("corridor", seed, messy=True) for seed in range(12)]
+    assert max(room.size[1] for room in corridors) > 12.0
+    n_bare = sum(len(room.boxes) <= 1 for room in corridors)  # the lamp
+    assert 3 <= n_bare <= 9
+    views = [frame.depth for frame, _ in messy_views("corridor", 4, 8)]
+    assert np.mean([np.percentile(depth, 95) > 5.0 for depth in views]) >= 0.5
