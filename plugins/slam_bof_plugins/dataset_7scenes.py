@@ -3,6 +3,7 @@
 ``SCENE/seq-XX/frame-XXXXXX.{depth.png,color.png,pose.txt}``, where ``SCENE`` also has
 ``TrainSplit.txt`` and ``TestSplit.txt``. Depth is uint16 mm, 0 and 65535 where missing; poses
 are camera-to-world, of the depth camera. Colour and poses may be missing, and colour may be JPEG.
+Numbers may have any number of digits.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import csv
 import logging
 import re
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import ClassVar, Self
 
@@ -30,7 +32,7 @@ __all__ = ["SevenScenes"]
 logger = logging.getLogger(__name__)
 
 FRAMES_PER_S = 30.0
-FRAME = re.compile(r"frame-(\d+)\.depth\.png")
+FRAME = re.compile(r"(frame-\d+)\.depth\.png")
 COLOR_SUFFIXES = (".color.png", ".color.jpg")
 SPLITS = ("TrainSplit.txt", "TestSplit.txt")
 
@@ -47,11 +49,11 @@ class SevenScenes:
     name: ClassVar[str] = "7scenes"
     units_per_m: ClassVar[float] = 1000.0
 
-    def __init__(self, folder: Path, numbers: Sequence[int], intrinsics: Intrinsics) -> None:
+    def __init__(self, folder: Path, stems: Sequence[str], intrinsics: Intrinsics) -> None:
         self.folder = folder
         self.sequence = "/".join(folder.resolve().parts[-2:])
         self.intrinsics = intrinsics
-        self._numbers = tuple(numbers)
+        self._stems, self._numbers = tuple(stems), tuple(map(_number, stems))
         self._groundtruth = self._read_groundtruth()
         self._scenes = self._read_scenes()
 
@@ -60,9 +62,8 @@ class SevenScenes:
         """Return what identifies a sequence, or a scene with sequences; empty if it is neither."""
         if not path.is_dir():
             return ""
-        numbers = _frame_numbers(path)
-        if numbers:
-            return f"frame-{numbers[0]:06d}.depth.png"
+        if stems := _frame_stems(path):
+            return f"{stems[0]}.depth.png"
         sequences = _sequences(path)
         return f"{sequences[0].name}/ with frame-XXXXXX.depth.png" if sequences else ""
 
@@ -73,16 +74,22 @@ class SevenScenes:
         Raises
         ------
         DatasetError
-            If there is no such folder or sequence, or several; if a depth image is of 8 bits,
-            in colour, or of another size than the first.
+            If there is no such folder or sequence, or several; if two files have one number; if a
+            depth image is of 8 bits, in colour, or of another size than the first.
         """
         folder = _sequence_folder(path)
-        numbers = _frame_numbers(folder)
-        first, *others = (folder / f"frame-{number:06d}.depth.png" for number in numbers)
+        stems = _frame_stems(folder)
+        first, *others = (folder / f"{stem}.depth.png" for stem in stems)
+        for one, other in pairwise(stems):
+            if _number(one) == _number(other):
+                raise DatasetError(
+                    f"{folder}: found {one}.depth.png and {other}.depth.png, expected one file "
+                    "for each frame number"
+                )
         height, width = read_depth_png(first).shape
         for file in others:
             check_header(file, (height, width))
-        return cls(folder, numbers, _camera(DEPTH_FOCAL_PX, width, height))
+        return cls(folder, stems, _camera(DEPTH_FOCAL_PX, width, height))
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -125,7 +132,7 @@ class SevenScenes:
         return None
 
     def _file(self, index: int, suffix: str) -> Path:
-        return self.folder / f"frame-{self._numbers[index]:06d}{suffix}"
+        return self.folder / f"{self._stems[index]}{suffix}"
 
     def _read_groundtruth(self) -> Trajectory | None:
         files = [self._file(i, ".pose.txt") for i in range(len(self))]
@@ -156,20 +163,25 @@ class SevenScenes:
             ) from error
 
 
-def _frame_numbers(folder: Path) -> list[int]:
+def _frame_stems(folder: Path) -> list[str]:
+    """Return what the files of each frame begin with, such as "frame-000123", by number."""
     matches = (FRAME.fullmatch(file.name) for file in folder.iterdir())
-    return sorted(int(match[1]) for match in matches if match)
+    return sorted((match[1] for match in matches if match), key=lambda stem: (_number(stem), stem))
+
+
+def _number(stem: str) -> int:
+    return int(stem.removeprefix("frame-"))
 
 
 def _sequences(scene: Path) -> list[Path]:
-    return sorted(f for f in scene.glob("seq-*") if f.is_dir() and _frame_numbers(f))
+    return sorted(f for f in scene.glob("seq-*") if f.is_dir() and _frame_stems(f))
 
 
 def _sequence_folder(path: Path) -> Path:
     if not path.is_dir():
         found = "a file" if path.exists() else "nothing"
         raise DatasetError(f"{path}: found {found}, expected the folder of a sequence")
-    if _frame_numbers(path):
+    if _frame_stems(path):
         return path
     sequences = _sequences(path)
     if len(sequences) == 1:

@@ -83,6 +83,33 @@ def test_frames_keep_their_numbers_where_some_are_missing(folder: Path) -> None:
     assert (dataset.frame(1).depth == 1002).all()
 
 
+@pytest.mark.parametrize("digits", [0, 4, 7])
+def test_numbers_of_any_number_of_digits_are_in_order(tmp_path: Path, digits: int) -> None:
+    folder = tmp_path / "seq-01"
+    for number in (9, 10, 100):
+        pose = np.eye(4)
+        pose[0, 3] = number
+        write_frame(folder, number, pose=pose)
+        for suffix in ("depth.png", "pose.txt"):
+            (folder / f"frame-{number:06d}.{suffix}").rename(
+                folder / f"frame-{number:0{digits}d}.{suffix}"
+            )
+    assert SevenScenes.recognises(folder) == f"frame-{9:0{digits}d}.depth.png"
+    dataset = SevenScenes.open(folder)
+    assert [dataset.frame(i).depth[0, 0] for i in range(3)] == [1009, 1010, 1100]
+    groundtruth = dataset.groundtruth()
+    assert groundtruth is not None
+    assert groundtruth.poses[:, 0, 3] == pytest.approx([9, 10, 100])
+
+
+def test_two_files_of_one_number_are_refused(folder: Path) -> None:
+    shutil.copy(folder / "frame-000002.depth.png", folder / "frame-2.depth.png")
+    assert (
+        "found frame-000002.depth.png and frame-2.depth.png, expected one file for each frame "
+        "number"
+    ) in refusal(folder)
+
+
 def test_poses_may_be_missing(folder: Path) -> None:
     (folder / "frame-000001.pose.txt").unlink()
     groundtruth = SevenScenes.open(folder).groundtruth()
