@@ -4,7 +4,7 @@
 by default 1000 for integers and 1 for floats) and ``fps`` (30 by default). Depth images are
 ``depth/NAME.png`` (16-bit grey) or ``.npy`` (uint16 or float, (H, W)); without that folder, all
 ``NAME.depth.png``, or else all .png and .npy files, beside ``intrinsics.json``. 0, 65535 and what
-is not finite are missing.
+is not finite are missing. Suffixes may be in capitals.
 
 Times come from ``timestamps.txt`` (a line for each image: seconds, or its name and seconds), or
 else from the names as recorders write them (see ``name_times``): a date, seconds with a decimal
@@ -49,6 +49,7 @@ logger = logging.getLogger(__name__)
 INTRINSICS = "intrinsics.json"
 POSES = ("groundtruth.txt", "poses.txt")
 SUFFIXES = (".png", ".npy")
+COLOR_SUFFIXES = (".png", ".jpg", ".PNG", ".JPG")
 MAX_GAP_S = 0.1
 
 
@@ -85,7 +86,7 @@ class DepthFolder:
             camera.cy,
         )
         self._depth_scale = camera.depth_scale
-        self.units_per_m = camera.depth_scale or (1000.0 if files[0].suffix == ".png" else 1.0)
+        self.units_per_m = camera.depth_scale or (1000.0 if _is_png(files[0]) else 1.0)
         self._files = tuple(files)
         self._stamps_s = stamps_s
         self._groundtruth = _read_groundtruth(folder, stamps_s)
@@ -149,7 +150,7 @@ class DepthFolder:
     def _color_file(self, index: int) -> Path | None:
         stem = _stem(self._files[index])
         places = (self.folder / "color" / stem, self.folder / f"{stem}.color")
-        candidates = [p.with_name(p.name + s) for p in places for s in (".png", ".jpg")]
+        candidates = [p.with_name(p.name + s) for p in places for s in COLOR_SUFFIXES]
         return next((file for file in candidates if file.is_file()), None)
 
 
@@ -158,12 +159,16 @@ def _depth_files(folder: Path) -> list[Path]:
     below = folder / "depth"
     for place, pattern in ((below, "*"), (folder, "*.depth.png"), (folder, "*")):
         if place.is_dir():
-            files = [f for f in place.glob(pattern) if f.suffix in SUFFIXES and f.is_file()]
+            files = [f for f in place.glob(pattern) if f.suffix.lower() in SUFFIXES and f.is_file()]
             # A name that begins with a dot is of an image that was not finished.
             files = [f for f in files if not f.name.startswith(".") and ".color." not in f.name]
             if files:
                 return sorted(files)
     return []
+
+
+def _is_png(file: Path) -> bool:
+    return file.suffix.lower() == ".png"
 
 
 def _stem(file: Path) -> str:
@@ -234,7 +239,7 @@ def _listed_times(path: Path, files: list[Path]) -> tuple[list[Path], Array]:
 
 
 def _check_size(file: Path, size: tuple[int, int]) -> None:
-    found = check_header(file) if file.suffix == ".png" else _open_array(file).shape
+    found = check_header(file) if _is_png(file) else _open_array(file).shape
     if found is not None and found != size:
         raise DatasetError(
             f"{file}: found {'x'.join(map(str, found[::-1]))} pixels, "
@@ -243,7 +248,7 @@ def _check_size(file: Path, size: tuple[int, int]) -> None:
 
 
 def _read_depth(file: Path, units_per_m: float | None) -> NDArray[Any]:
-    array = read_depth_png(file) if file.suffix == ".png" else np.array(_open_array(file))
+    array = read_depth_png(file) if _is_png(file) else np.array(_open_array(file))
     if array.dtype == np.uint16:
         return checked_depth(file, scale_depth(array, units_per_m or 1000.0))
     with np.errstate(over="ignore"):  # beyond float32: infinite, which is missing

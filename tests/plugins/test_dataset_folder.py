@@ -44,6 +44,8 @@ def stamps(folder: Path) -> list[float]:
         ["depth/a.npy", "depth/b.npy"],
         ["frame-000000.depth.png", "frame-000007.depth.png"],
         ["000.png", "001.npy"],
+        ["depth/0000.PNG", "depth/0001.PNG"],
+        ["0.depth.PNG", "1.depth.PNG"],
     ],
 )
 def test_obeys_the_contract(tmp_path: Path, names: list[str]) -> None:
