@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from slam_bof.core import decode_image, peak_rss_mb
+from slam_bof.core import decode_image, images, peak_rss_mb
 
 DEPTH = (np.arange(120 * 160).reshape(120, 160) % 5000).astype(np.uint16)
 COLOR = np.random.default_rng(0).integers(0, 255, (120, 160, 3), np.uint8)
@@ -33,6 +33,21 @@ def jpeg_of(width, height):
     return bytes(data)
 
 
+def tiff_of(width, height, *, tags=(256, 257), kind=4, count=1, order="<"):
+    """A TIFF file with other values of two tags of its directory."""
+    pixels = np.array(DEPTH).astype(order + "u2").tobytes()
+    values = {256: 160, 257: 120, 258: 16, 259: 1, 262: 1, 273: 8, 277: 1, 278: 120}
+    values[279] = len(pixels)
+    entries = {tag: (4, 1, value) for tag, value in values.items()}
+    entries |= dict(zip(tags, ((kind, count, width), (kind, count, height)), strict=True))
+    directory = struct.pack(order + "H", len(entries))
+    for tag, (of, n, value) in sorted(entries.items()):
+        packed = struct.pack(order + ("I" if of == 4 else "H2x"), value)
+        directory += struct.pack(order + "2HI", tag, of, n) + packed
+    start = {"<": b"II*\0", ">": b"MM\0*"}[order] + struct.pack(order + "I", 8 + len(pixels))
+    return start + pixels + directory + bytes(4)
+
+
 def chunk_of(length):
     """A PNG file whose second chunk says another length."""
     data = bytearray(coded(".png", DEPTH))
@@ -42,7 +57,14 @@ def chunk_of(length):
 
 @pytest.mark.parametrize(
     ("data", "expected"),
-    [(coded(".png", DEPTH), DEPTH), (coded(".tiff", DEPTH), DEPTH), (coded(".png", COLOR), COLOR)],
+    [
+        (coded(".png", DEPTH), DEPTH),
+        (coded(".tiff", DEPTH), DEPTH),
+        (coded(".tiff", DEPTH.astype(np.float32)), DEPTH),
+        (tiff_of(160, 120), DEPTH),
+        (tiff_of(160, 120, kind=3, order=">"), DEPTH),
+        (coded(".png", COLOR), COLOR),
+    ],
 )
 def test_whole_images_are_read(data, expected):
     np.testing.assert_array_equal(decode_image(data), expected)
@@ -57,11 +79,35 @@ def test_colour_is_read_in_grey_too():
     assert decode_image(jpeg_of(80, 120)) is not None
 
 
+LARGE = {
+    "png": coded(".png", DEPTH),
+    "jpeg": coded(".jpg", COLOR),
+    "tiff": coded(".tiff", DEPTH),
+    "big-endian tiff": tiff_of(160, 120, kind=3, order=">"),
+}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_the_header_decides_in_every_format(name, monkeypatch):
+    monkeypatch.setattr(images, "MAX_IMAGE_PIXELS", 160 * 120)
+    assert decode_image(LARGE[name]) is not None
+    monkeypatch.setattr(images, "MAX_IMAGE_PIXELS", 160 * 120 - 1)
+    assert decode_image(LARGE[name]) is None
+
+
 HOSTILE = {
     "png of 100 gigapixels": png_of(320_000, 320_000),
     "png of nothing": png_of(0, 120),
     "jpeg of 4 gigapixels": jpeg_of(65_000, 65_000),
     "jpeg of a gigapixel": b"\xff\xd8garbage" + jpeg_of(32_000, 32_000)[2:],
+    "tiff of a gigapixel": tiff_of(32_000, 32_000),
+    "tiff of a gigapixel, big-endian": tiff_of(32_000, 32_000, kind=3, order=">"),
+    "tiff with tiles of a gigapixel": tiff_of(32_000, 32_000, tags=(322, 323)),
+    "tiff whose width is elsewhere": tiff_of(160, 120, count=2),
+    "tiff of nothing": tiff_of(0, 120),
+    "cut tiff": tiff_of(160, 120)[:-60],
+    "tiff without a directory": b"II*\0\xff\xff\xff\xff",
+    "another format": coded(".bmp", COLOR),
     "chunk of 2 GB": chunk_of(2_147_000_000),
     "chunk of 4 GB": chunk_of(2**32 - 1),
     "cut header": coded(".png", DEPTH)[:14],
