@@ -5,6 +5,7 @@ A module has the readers of one kind of file: ``READERS``, by name.
 
 from fuzzing import (
     archives,
+    atlases,
     bags,
     calls,
     configurations,
@@ -21,7 +22,7 @@ from fuzzing.cases import Reader, turn
 __all__ = ["READERS", "Reader", "turn"]
 
 MODULES = (
-    *(maps, models, configurations, archives, servers),
+    *(maps, atlases, models, configurations, archives, servers),
     *(sequences, images, bags, tables, runs, calls),
 )
 READERS: dict[str, Reader] = {

@@ -86,9 +86,9 @@ class Atlas:
     """
 
     def __init__(
-        self, manifest: Manifest, segments: Sequence[Segment], params: AtlasParams
+        self, folder: Path, manifest: Manifest, segments: Sequence[Segment], params: AtlasParams
     ) -> None:
-        self.params, self.maps = params, manifest.maps
+        self.folder, self.params, self.maps = folder, params, manifest.maps
         self._by_id = {entry.id: entry for entry in manifest.maps}
         self._segments = [segment for segment in segments if segment.maps]
         self._in_use = [np.isin(segment.map_ids, list(self._by_id)) for segment in self._segments]
@@ -112,7 +112,7 @@ class Atlas:
         for _ in range(N_TRIES):
             manifest = read_manifest(folder)
             try:
-                return cls(manifest, _load(folder, manifest, params), params)
+                return cls(folder, manifest, _load(folder, manifest, params), params)
             except FileNotFoundError as error:
                 missing = error.filename
         raise AtlasError(f"{missing}: found no such file, expected one that {FILE} names")
@@ -165,7 +165,9 @@ class Atlas:
                     f"{folder}: found no map {sorted(unknown)[0]}, expected one that "
                     "slam-bof atlas list shows"
                 )
-            _replace(folder, manifest, [entry for entry in manifest.maps if entry not in gone], [])
+            kept = [entry for entry in manifest.maps if entry not in gone]
+            with _damage_named(folder):
+                _replace(folder, manifest, kept, [])
         return gone
 
     @staticmethod
@@ -178,7 +180,8 @@ class Atlas:
             for k, (path, described) in enumerate(maps)
         ]
         new = [make_segment(first + k, described) for k, (_, described) in enumerate(maps)]
-        _replace(folder, manifest, kept + added, new)
+        with _damage_named(folder):
+            _replace(folder, manifest, kept + added, new)
         return added
 
     @one_blas_thread()
@@ -190,10 +193,8 @@ class Atlas:
         AtlasError
             If what it reads of the files is damaged.
         """
-        try:
+        with _damage_named(self.folder):
             return self._search(query)[:n]
-        except (IndexError, ValueError) as error:
-            raise AtlasError(f"found keyframes that are damaged ({error})") from error
 
     def _search(self, query: Constellation) -> list[AtlasMatch]:
         found: list[tuple[float, int, int]] = []
@@ -276,6 +277,23 @@ def _replace(
     for path in folder.glob("segment-*"):
         if path.name not in {entry.name for entry in kept}:
             shutil.rmtree(path, ignore_errors=True)  # open files stay readable
+
+
+@contextmanager
+def _damage_named(folder: Path) -> Iterator[None]:
+    """Raise ``AtlasError`` for what damaged segments lead to.
+
+    No other program changes them meanwhile: they are open, or the folder is locked.
+    """
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise AtlasError(
+            f"{error.filename}: found no such file, expected one that {FILE} names"
+        ) from error
+    except (IndexError, ValueError) as error:
+        reason = " ".join(str(error).split())[:200]
+        raise AtlasError(f"{folder}: found keyframes that are damaged ({reason})") from error
 
 
 @contextmanager

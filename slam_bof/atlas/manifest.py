@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
@@ -19,7 +19,8 @@ __all__ = ["AtlasMap", "Manifest", "SegmentEntry", "read_manifest", "sync", "wri
 
 FILE = "atlas.json"
 MAX_BYTES = 64_000_000
-SEGMENT = r"^segment-\d{6}$"
+SEGMENT = r"^segment-\d{6,12}$"
+Count = Annotated[int, Field(ge=0, lt=10**12)]
 
 
 class _Entry(BaseModel):
@@ -29,9 +30,9 @@ class _Entry(BaseModel):
 class AtlasMap(_Entry):
     """A map of the atlas: its number, its ``map.db``, and how many keyframes are in the atlas."""
 
-    id: int = Field(ge=0)
+    id: Count
     path: str = Field(min_length=1, max_length=4096)
-    n_keyframes: int = Field(ge=0)
+    n_keyframes: Count
 
 
 class SegmentEntry(_Entry):
@@ -41,7 +42,7 @@ class SegmentEntry(_Entry):
     """
 
     name: str = Field(pattern=SEGMENT)
-    maps: tuple[tuple[int, int], ...] = Field(strict=False)
+    maps: tuple[tuple[Count, Count], ...] = Field(strict=False)
     down: tuple[float, float, float] = Field(strict=False)
 
     @property
@@ -54,15 +55,13 @@ class Manifest(_Entry):
     """What an atlas consists of."""
 
     version: Literal[1] = 1
-    n_segments_made: int = Field(default=0, ge=0)
-    n_maps_added: int = Field(default=0, ge=0)
+    n_segments_made: Count = 0
+    n_maps_added: Count = 0
     maps: tuple[AtlasMap, ...] = Field(default=(), strict=False)
     segments: tuple[SegmentEntry, ...] = Field(default=(), strict=False)
 
     @model_validator(mode="after")
-    def _check_counts(self) -> Manifest:
-        if any(n < 0 for segment in self.segments for _, n in segment.maps):
-            raise ValueError("numbers of keyframes must not be negative")
+    def _check_names(self) -> Manifest:
         if len({segment.name for segment in self.segments}) < len(self.segments):
             raise ValueError("segments must have different names")
         return self

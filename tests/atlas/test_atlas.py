@@ -168,6 +168,47 @@ def test_one_program_writes_at_a_time(folder):
     assert len(Atlas.remove(folder, ["/maps/0"])) == 1
 
 
+def forget_files(folder):
+    """Leave the atlas without one file of each segment."""
+    for path in folder.glob("segment-*/starts.npy"):
+        path.unlink()
+
+
+def lose_directions(folder):
+    """Exchange the directions of gravity of all keyframes for infinity."""
+    for path in folder.glob("segment-*/R_level_camera.npy"):
+        np.save(path, np.full_like(np.load(path), np.inf))
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (forget_files, r"starts\.npy: found no such file, expected one that atlas\.json names"),
+        (lose_directions, "fleet: found keyframes that are damaged .*finite number"),
+    ],
+)
+def test_a_writer_names_damage_in_one_line_and_changes_nothing(folder, damage, message):
+    damage(folder)
+    before = (folder / "atlas.json").read_bytes()
+    for call in (
+        lambda: Atlas.add_described(folder, [("/maps/new", keyframes(500, 30))]),
+        lambda: Atlas.remove(folder, [f"/maps/{k}" for k in range(8)]),
+    ):
+        with pytest.raises(AtlasError, match=message) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+    assert (folder / "atlas.json").read_bytes() == before
+
+
+def test_more_than_a_million_segments_can_be_made(folder):
+    manifest = json.loads((folder / "atlas.json").read_text())
+    manifest["n_segments_made"] = 10**6
+    (folder / "atlas.json").write_text(json.dumps(manifest))
+    Atlas.add_described(folder, [("/maps/new", keyframes(500, 3))])
+    assert best(Atlas.open(folder), 501).map.path == "/maps/new"
+    assert (folder / "segment-1000000").is_dir()
+
+
 def damage_manifest(folder):
     (folder / "atlas.json").write_text('{"version": 1, "mapz": []}')
 
