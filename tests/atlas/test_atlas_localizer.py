@@ -17,7 +17,8 @@ from slam_bof.synthetic.rooms import make_room
 from slam_bof.synthetic.scene import Scene3D
 from slam_bof.types import DepthFrame, Intrinsics
 
-CONFIG = override(preset("indoor"), ["keyframes.max_gap=4"])
+CONFIG = override(preset("indoor"), ["keyframes.max_gap=4", "model=synthetic"])
+N_FRAMES = 14
 CAMERA = Intrinsics(160, 120, 130.0, 130.0, 79.5, 59.5)
 OTHER = Intrinsics(128, 96, 92.0, 92.0, 63.5, 47.5)
 
@@ -53,7 +54,7 @@ def fleet(tmp_path_factory, scenes):
         path = folder / f"map{number}.db"
         first = pose(0.0, 1.6, 1.6)
         with MapSession.open(path, config=CONFIG) as session:
-            for k in range(26):
+            for k in range(N_FRAMES):
                 T = pose(0.08 * k, 1.6, 1.6)
                 session.closer.process(look(scene, T, k), se3.inverse(first) @ T)
         paths.append(path)
@@ -61,12 +62,18 @@ def fleet(tmp_path_factory, scenes):
     return folder
 
 
+@pytest.fixture(scope="module")
+def robot(fleet):
+    """A localizer that keeps both maps loaded."""
+    return AtlasLocalizer(Atlas.open(fleet / "atlas"))
+
+
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize("camera", [CAMERA, OTHER])
-def test_a_frame_is_localized_in_its_map(fleet, scenes, number, camera):
+def test_a_frame_is_localized_in_its_map(fleet, robot, scenes, number, camera):
     T = pose(0.63, 1.68, 1.55)
     frame = look(scenes[number], T, camera=camera)
-    found = AtlasLocalizer(Atlas.open(fleet / "atlas")).localize(frame)
+    found = robot.localize(frame)
     assert found.map is not None, found.reason
     assert found.map.path == str((fleet / f"map{number}.db").resolve())
     error = se3.inverse(found.located.localization.T_map_camera) @ (
@@ -77,11 +84,9 @@ def test_a_frame_is_localized_in_its_map(fleet, scenes, number, camera):
     assert found.located.keyframe is not None
 
 
-def test_what_no_map_shows_is_not_known(fleet):
+def test_what_no_map_shows_is_not_known(robot):
     elsewhere = make_room("bathroom", seed=1)
-    found = AtlasLocalizer(Atlas.open(fleet / "atlas")).localize(
-        look(elsewhere, pose(0.3, 1.0, 1.0))
-    )
+    found = robot.localize(look(elsewhere, pose(0.3, 1.0, 1.0)))
     assert found.map is None
     assert found.located is None
     assert found.reason
