@@ -17,7 +17,7 @@ FAULTS = ("implausible", "traceback", "crash", "hang", "memory")
 
 def test_no_reader_fails_on_broken_files() -> None:
     """The readers that are quick to prepare; ``scripts/fuzz`` has more."""
-    readers = ["map", "config", "archive", "server", "sequence", "image"]
+    readers = ["map", "atlas", "config", "archive", "server", "sequence", "image"]
     readers += ["bag", "table", "trajectory", "value", "closer", "recogniser"]
     command = [sys.executable, str(FUZZ), "--json", "--cases", "300", "--seed", "7"]
     done = subprocess.run([*command, "--readers", *readers], capture_output=True, text=True)
