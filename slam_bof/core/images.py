@@ -17,12 +17,12 @@ TIFF = {b"II*\0": "<", b"MM\0*": ">"}
 """Byte order by the first bytes."""
 MAX_IMAGE_PIXELS = 1 << 26
 """A colour image of that many pixels takes 200 MB; cameras have up to some 50 million."""
-FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-START_OF_SCAN = 0xDA
 TIFF_SIZES = (256, 257, 322, 323)
 """Tags of TIFF: width and height of the image, and of its tiles."""
 TIFF_NUMBERS = {3: "H", 4: "I"}
 """Types of TIFF that sizes may be of."""
+FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+START_OF_SCAN = 0xDA
 NO_SEGMENTS = frozenset({0x00, 0x01, 0xFF, *range(0xD0, 0xDA)})
 """Markers of JPEG: those of a frame, and those that no segment follows."""
 
