@@ -269,8 +269,14 @@ class Localizer:
         ambiguity = self._aliases.reason_against(query.view, best.T_map_view)
         if ambiguity:
             return Localization(reason=ambiguity)
+        T_map_view = self._refine(query, best)
+        if self._consistency.contradicts(query.view, T_map_view):
+            return Localization(
+                reason=f"keyframe {names[best.keyframe_id]} matches, but at the refined pose the "
+                "free space of the map or of the image is violated"
+            )
         return Localization(
-            self._refine(query, best),
+            T_map_view,
             names[best.keyframe_id],
             best.verified.overlap,
             best.verified.rmse_m,

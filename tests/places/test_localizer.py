@@ -73,6 +73,16 @@ def test_frames_from_aside_are_localised(localizer, aside):
         assert 0 <= found.keyframe_id < N_ROUND
 
 
+def test_a_pose_that_the_map_contradicts_once_refined_is_not_known(localizer, aside, monkeypatch):
+    refine = Localizer._refine
+    for forward_m, is_known in ((0.0, True), (0.3, False), (-0.3, False)):
+        shift = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, forward_m]))
+        monkeypatch.setattr(Localizer, "_refine", lambda *a, shift=shift: refine(*a) @ shift)
+        found = localizer.localize(aside[0][0])
+        assert found.is_known == is_known
+        assert ("at the refined pose the free space" in found.reason) == (not is_known)
+
+
 def test_each_frame_is_asked_for_by_itself(localizer, turn, aside):
     frames, _ = aside
     first = [localizer.localize(frame) for frame in frames]
