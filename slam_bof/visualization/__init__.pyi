@@ -23,6 +23,11 @@ from .plan import (
 from .plan_figure import (
     draw_plan as draw_plan,
 )
+from .rerun_recording import (
+    LIVE as LIVE,
+    MapSpace as MapSpace,
+    RerunRecording as RerunRecording,
+)
 from .run_report import (
     FrameHealth as FrameHealth,
     ReportData as ReportData,
