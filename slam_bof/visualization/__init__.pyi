@@ -30,6 +30,7 @@ from .rerun_recording import (
 )
 from .run_report import (
     FrameHealth as FrameHealth,
+    PicturedPair as PicturedPair,
     ReportData as ReportData,
     write_report as write_report,
 )
