@@ -161,7 +161,9 @@ def read_run(folder: Path) -> ReportData:
             loops=of_session(store.loops(), ids),
             candidates=of_session(store.candidates(), ids),
             plan=read_plan(store),
-            pairs=picture_pairs(store, of_session(store.candidates(), ids), ids.start),
+            pairs=picture_pairs(
+                store, of_session(store.candidates(), ids), figures.get("session", 0)
+            ),
             health=_read_health(folder / "health.csv"),
             command=rerun_command(folder, store),
             configuration=_read_if_there(folder / "config.yaml"),

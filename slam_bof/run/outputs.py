@@ -124,7 +124,6 @@ def _write_health(path: Path, record: RunRecord, components: NDArray[np.intp]) -
 
 def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapStore) -> ReportData:
     result = record.result
-    first_id = len(store.keyframe_rows()) - len(result.keyframes)
     return ReportData(
         metrics=metrics,
         odometry=result.odometry,
@@ -138,7 +137,7 @@ def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapSt
         candidates=record.candidates,
         true_scenes=record.true_scenes,
         plan=read_plan(store),
-        pairs=picture_pairs(store, record.candidates, first_id),
+        pairs=picture_pairs(store, record.candidates, record.closer.map.session),
         health=record.health,
         command=rerun_command(folder, store),
         configuration=(folder / "config.yaml").read_text(encoding="utf-8"),

@@ -18,12 +18,14 @@ MAX_PAIRS = 6
 
 
 def picture_pairs(
-    store: MapStore, candidates: Sequence[Candidate], first_id: int
+    store: MapStore, candidates: Sequence[Candidate], session: int
 ) -> list[PicturedPair]:
     """Return some accepted and rejected loops of a session with their saved depth images.
 
-    The ids of ``candidates`` count from the session's first keyframe, ``first_id`` in the map.
+    The ids of ``candidates`` count from the session's first keyframe.
     """
+    own = (row["id"] for row in store.keyframe_rows() if row["session"] == session)
+    first_id = next(own, 0)
     pairs = []
     for decision in (Decision.ACCEPTED, Decision.REJECTED):
         found = [c for c in candidates if (c.kind, c.decision) == (EdgeKind.LOOP, decision)]

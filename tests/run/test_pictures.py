@@ -18,7 +18,7 @@ def test_pairs_have_the_images_that_the_map_has_of_them(tmp_path):
             make_candidate(8, 7, kind="covisibility"),
             make_candidate(8, 0, decision="held"),
         ]
-        pairs = picture_pairs(store, [*accepted, rejected, *others], 2)
+        pairs = picture_pairs(store, [*accepted, rejected, *others], 1)
     found = [(pair.candidate.query_id, pair.candidate.match_id) for pair in pairs]
     assert found == [(1, 0), (3, 0), (4, 0), (6, 0), (7, 0), (9, 0), (9, 4)]
     assert len(found) == MAX_PAIRS + 1
