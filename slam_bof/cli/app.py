@@ -29,6 +29,7 @@ from slam_bof.cli.run import INTERRUPTED, run
 from slam_bof.cli.show import show
 from slam_bof.cli.train import train
 from slam_bof.cli.version import print_version, version
+from slam_bof.cli.view import view
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
@@ -100,7 +101,7 @@ class ShowWarnings(logging.Handler):
 
 
 for command in (
-    *(demo, run, check, localize, show, report, export, train),
+    *(demo, run, check, localize, show, view, report, export, train),
     *(bench, download, record, plugins, config, doctor, version),
 ):
     app.command(cls=NumbersCommand if command in (localize, show) else None)(command)

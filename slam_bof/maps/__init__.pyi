@@ -16,6 +16,9 @@ from .map_session import (
     restore_session as restore_session,
     with_model_of as with_model_of,
 )
+from .map_view import (
+    show_map as show_map,
+)
 from .merging import (
     merge_maps as merge_maps,
 )

@@ -32,7 +32,7 @@ from slam_bof.slam import FrameHistory, config as configs
 from slam_bof.store import MapStore, choose_component, query_keyframes
 from slam_bof.types import DepthFrame, Keyframe, Trajectory
 
-__all__ = ["FORMATS", "Format", "export_map", "session_trajectory"]
+__all__ = ["FORMATS", "Format", "export_map", "interrupted", "session_trajectory"]
 
 Format = Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"]
 FORMATS: tuple[Format, ...] = ("tum", "kitti", "csv", "g2o", "ply", "occupancy")
@@ -100,7 +100,7 @@ def export_map(
     if format_ in ("tum", "kitti"):
         return _write_poses(store, path, format_, own, session, all_frames=all_frames)
     if not np.isfinite(poses).all():
-        raise _interrupted(store)
+        raise interrupted(store)
     if format_ == "g2o":
         edges = (e for e in _graph_edges(store, keyframes) if inside[e.a])
         write_g2o(path, ((k, poses[k]) for k in own), edges)
@@ -137,7 +137,7 @@ def _write_poses(
 ) -> int:
     keyframes, poses = store.keyframes(), store.map_poses()
     if ids and not np.isfinite(poses[ids]).any():
-        raise _interrupted(store)
+        raise interrupted(store)
     several = session is None and len(store.sessions()) > 1
     if all_frames and not several:
         segments, trajectory = _session_frames(store, session or 0)
@@ -176,7 +176,8 @@ def _graph_edges(store: MapStore, keyframes: Sequence[Keyframe]) -> Iterator[Gra
         yield GraphEdge(loop.match_id, loop.query_id, loop.T_match_query, information)
 
 
-def _interrupted(store: MapStore) -> MapError:
+def interrupted(store: MapStore) -> MapError:
+    """Return the error that a map is not finished."""
     return MapError(
         f"{store.path}: found an interrupted run without optimised poses, expected a finished "
         f"one: resume it, or slam-bof map finish {store.path}"

@@ -18,6 +18,7 @@ import numpy as np
 
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
+from slam_bof.run.pictures import picture_pairs
 from slam_bof.run.plan import read_plan
 from slam_bof.slam import of_session
 from slam_bof.store import MapStore
@@ -160,6 +161,9 @@ def read_run(folder: Path) -> ReportData:
             loops=of_session(store.loops(), ids),
             candidates=of_session(store.candidates(), ids),
             plan=read_plan(store),
+            pairs=picture_pairs(
+                store, of_session(store.candidates(), ids), figures.get("session", 0)
+            ),
             health=_read_health(folder / "health.csv"),
             command=rerun_command(folder, store),
             configuration=_read_if_there(folder / "config.yaml"),

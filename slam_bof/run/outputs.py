@@ -17,6 +17,7 @@ from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
 from slam_bof.run.folder import rerun_command
 from slam_bof.run.metrics import Metrics
+from slam_bof.run.pictures import picture_pairs
 from slam_bof.run.plan import read_plan
 from slam_bof.run.record import RunRecord
 from slam_bof.store import MapStore, largest_component
@@ -136,6 +137,7 @@ def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapSt
         candidates=record.candidates,
         true_scenes=record.true_scenes,
         plan=read_plan(store),
+        pairs=picture_pairs(store, record.candidates, record.closer.map.session),
         health=record.health,
         command=rerun_command(folder, store),
         configuration=(folder / "config.yaml").read_text(encoding="utf-8"),

@@ -23,8 +23,14 @@ from .plan import (
 from .plan_figure import (
     draw_plan as draw_plan,
 )
+from .rerun_recording import (
+    LIVE as LIVE,
+    MapSpace as MapSpace,
+    RerunRecording as RerunRecording,
+)
 from .run_report import (
     FrameHealth as FrameHealth,
+    PicturedPair as PicturedPair,
     ReportData as ReportData,
     write_report as write_report,
 )

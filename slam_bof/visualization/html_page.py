@@ -177,7 +177,7 @@ section { padding: 20px 24px; margin-top: 18px; }
 .figures { display: grid; gap: 16px; margin-top: 10px; }
 @media (min-width: 960px) { .columns-2 { grid-template-columns: 1fr 1fr; } }
 .figures > div { min-width: 0; }
-.columns-3 { grid-template-columns: repeat(3, 1fr); }
+.columns-3, .columns-4, .columns-5, .columns-6 { grid-template-columns: repeat(3, 1fr); }
 figure { margin: 0; }
 img { width: 100%; border-radius: 4px; }
 figcaption { font-size: 13px; color: var(--soft); }

@@ -2,25 +2,21 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.ports import Dataset
+from slam_bof.visualization.depth_pictures import MAX_DEPTH_M, depth_picture
 from slam_bof.visualization.html_page import render_page, section
 
 __all__ = ["MissedQueries", "MissedQuery", "find_missed_queries", "write_missed_queries"]
 
 MAX_SHOWN = 24
 """Largest number of missed queries that are drawn for a method, evenly spaced."""
-WIDTH_PX = 320
-MAX_DEPTH_M = 5.0
-"""Largest depth of the colour scale."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +102,4 @@ def _sections(missed: MissedQueries) -> str:
 
 
 def _figure(dataset: Dataset, index: int, caption: str) -> str:
-    depth_m = dataset.frame(index).depth_m()
-    height = round(WIDTH_PX * depth_m.shape[0] / depth_m.shape[1])
-    small = cv2.resize(depth_m, (WIDTH_PX, height), interpolation=cv2.INTER_NEAREST)
-    levels = np.clip(255.0 * small / MAX_DEPTH_M, 0, 255).astype(np.uint8)
-    picture = cv2.applyColorMap(levels, cv2.COLORMAP_VIRIDIS)
-    picture[small == 0] = 0
-    _, coded = cv2.imencode(".jpg", picture)
-    data = base64.b64encode(coded.tobytes()).decode("ascii")
-    return (
-        f'<figure><img alt="{caption}" src="data:image/jpeg;base64,{data}">'
-        f"<figcaption>{caption}</figcaption></figure>"
-    )
+    return depth_picture(dataset.frame(index).depth_m(), caption)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof import evaluation
 from slam_bof.geometry import se3
@@ -25,9 +26,10 @@ from slam_bof.types import (
     Trajectory,
 )
 from slam_bof.visualization import html_page as page
+from slam_bof.visualization.depth_pictures import MAX_DEPTH_M, depth_picture
 from slam_bof.visualization.plan import Plan
 
-__all__ = ["FrameHealth", "ReportData", "write_report"]
+__all__ = ["FrameHealth", "PicturedPair", "ReportData", "write_report"]
 
 N_REASONS = 15
 """Number of reasons that the report counts."""
@@ -38,6 +40,16 @@ class FrameHealth(NamedTuple):
 
     health: str
     n_open: int
+
+
+class PicturedPair(NamedTuple):
+    """A pair of keyframes that was considered as a loop, and their depth images side by side.
+
+    ``depth_m`` is (H, 2 W), the query's to the left.
+    """
+
+    candidate: Candidate
+    depth_m: NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +72,8 @@ class ReportData:
         The plan of the map that the session belongs to, None if there is none.
     health
         Of every frame; empty if it is not known.
+    pairs
+        Some of the candidates, to be shown as pictures.
     command, configuration
         What makes the run again: a command line, and the configuration as YAML.
     """
@@ -74,6 +88,7 @@ class ReportData:
     true_scenes: Sequence[str | None] | None = None
     plan: Plan | None = None
     health: Sequence[FrameHealth] = ()
+    pairs: Sequence[PicturedPair] = ()
     command: str = ""
     configuration: str = ""
 
@@ -131,6 +146,9 @@ def _sections(data: ReportData) -> Iterator[str]:
     considered = [c for c in data.candidates if c.kind == EdgeKind.LOOP]
     if considered:
         yield _candidate_section(data, considered)
+    for decision in (Decision.ACCEPTED, Decision.REJECTED):
+        if pairs := [pair for pair in data.pairs if pair.candidate.decision == decision]:
+            yield _pair_section(decision, pairs)
     if any(keyframe.scene is not None for keyframe in data.keyframes):
         yield _label_section(data)
     prefix = "stage_ms."
@@ -254,6 +272,21 @@ def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str
         page.figure_html(figure, "candidates"),
         *histogram,
     )
+
+
+def _pair_section(decision: Decision, pairs: Sequence[PicturedPair]) -> str:
+    return page.section(
+        f"Loops {decision}",
+        "Some of the pairs, evenly chosen: the keyframe, and beside it the older one that it was "
+        f"compared with. Depth from 0 (dark) to {MAX_DEPTH_M:g} m (bright); black where it is "
+        "missing.",
+        *(depth_picture(pair.depth_m, _describe(pair.candidate)) for pair in pairs),
+    )
+
+
+def _describe(candidate: Candidate) -> str:
+    reason = f": {candidate.reason}" if candidate.reason else ""
+    return f"keyframes {candidate.query_id} and {candidate.match_id}{reason}"
 
 
 def _count_reasons(considered: Sequence[Candidate]) -> dict[str, int]:

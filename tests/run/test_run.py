@@ -14,7 +14,7 @@ from slam_bof import DepthFrame, LoopCloser
 from slam_bof.core import registry
 from slam_bof.errors import FrameError
 from slam_bof.geometry import read_kitti, read_tum
-from slam_bof.run import run_sequence
+from slam_bof.run import read_run, run_sequence
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
 from slam_bof.store import MapStore, components_of
@@ -63,6 +63,15 @@ def test_it_finds_true_loops_and_they_help(finished):
     assert metrics["loop_precision"] == 1.0
     assert metrics["ate_m"] < metrics["ate_odometry_m"]
     assert metrics["scene_accuracy"] is None
+
+
+def test_the_report_shows_loops_as_depth_images(finished):
+    folder = finished.folder
+    pairs = read_run(folder).pairs
+    assert {pair.candidate.decision for pair in pairs} >= {"accepted"}
+    html = (folder / "report.html").read_text(encoding="utf-8")
+    assert html.count("data:image/jpeg;base64,") == len(pairs)
+    assert (folder / "report.html").stat().st_size < 8e6
 
 
 def test_keyframes_are_counted_by_how_far_their_search_came(finished):

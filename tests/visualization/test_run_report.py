@@ -25,7 +25,7 @@ from slam_bof.types import (
     Scene,
     Trajectory,
 )
-from slam_bof.visualization import FrameHealth, Plan, ReportData, write_report
+from slam_bof.visualization import FrameHealth, PicturedPair, Plan, ReportData, write_report
 
 CLASSES = ("kitchen", "office")
 METRICS = {
@@ -253,6 +253,24 @@ def test_the_page_needs_no_network(tmp_path: Path, data: ReportData) -> None:
 
 def test_the_same_run_gives_the_same_bytes(tmp_path: Path, data: ReportData) -> None:
     assert write(tmp_path, data) == write(tmp_path, data)
+
+
+def test_accepted_and_rejected_loops_are_shown(tmp_path: Path, data: ReportData) -> None:
+    depth_m = np.full((24, 64), 1.0, np.float32)
+    depth_m[:, 32:] = 4.0
+    pairs = [PicturedPair(c, depth_m) for c in data.candidates[:3]]
+    html = write(tmp_path, replace(data, pairs=pairs))
+    assert [h for h in headings(html) if h.startswith("Loops ")] == [
+        "Loops accepted",
+        "Loops rejected",
+    ]
+    assert "<figcaption>keyframes 9 and 1: eta too good</figcaption>" in html
+    pictures = re.findall('src="data:image/jpeg;base64,([^"]+)"', html)
+    assert len(pictures) == 3
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(pictures[0]), np.uint8), cv2.IMREAD_COLOR)
+    assert image.shape == (120, 320, 3)
+    left, right = image[:, :150].astype(float).mean(), image[:, 170:].astype(float).mean()
+    assert right > left + 20, "what is farther away is brighter"
 
 
 def test_a_run_without_truth_loops_or_labels(tmp_path: Path, data: ReportData) -> None:
