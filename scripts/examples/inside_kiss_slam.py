@@ -59,7 +59,7 @@ class DepthCloser:
         view_id = self._recogniser.add(frame, T_odom_camera @ T_camera_view)
         self._prepared.append(self._verifier.prepare(frame, points_camera(frame, PointParams())))
         self._T_lidar_view.append(T_LIDAR_CAMERA @ T_camera_view)
-        for match in self._recogniser.recognise(view_id, view_id - N_CLOSE)[:N_TRIED]:
+        for match in self._recogniser.recognise(view_id, max(view_id - N_CLOSE, 0))[:N_TRIED]:
             (verified,) = self._verifier.verify(
                 self._prepared[-1],
                 [self._prepared[match.view_id]],

@@ -180,11 +180,9 @@ class Tracker:
         self.params = params or TrackingParams()
         self.trusts_odometry = False
         """Whether odometry is known to be about as precise as alignment, so that it is believed
-        where a frame cannot be aligned with the keyframe or has only the one before it to go by."""
+        where a frame cannot be aligned with the keyframe."""
         self.n_lost = 0
         self._usual_step = np.zeros(2)  # rad and m, a running mean
-        self._is_kept = False
-        self._n_kept = 0  # of the last frames in a row
         self._aligner = ViewAligner(self.params.alignment, seed=seed)
         self._segment = segment
         self._is_lost = False
@@ -209,7 +207,6 @@ class Tracker:
         step = _moved(se3.inverse(self._T_odometry) @ T_odom_camera)
         self._usual_step = self._usual_step + FORGETTING * (step - self._usual_step)
         self._T_odometry = T_odom_camera
-        self._n_kept, self._is_kept = self._n_kept if self._is_kept else 0, False
         self._add_covariance(covariance)
         if not self.params.enabled:
             return Track(
@@ -222,8 +219,10 @@ class Tracker:
         before, self._view = self._view, self._look(frame)
         T_guess = self._fusion.predict(T_odom_camera)
         found = self._find(before, T_guess)
-        if self._view is not None and self._prefers_odometry(found, T_guess):
-            found = _Found(None, found.inlier_ratio if found else float("nan"), True)
+        is_followed = found is not None and found.is_followed
+        can_trust = self.trusts_odometry and self._view is not None and not self._leaps(T_guess)
+        if can_trust and not is_followed:
+            found = _Found(None, float("nan"), True)
         is_lost = found is None
         if is_lost and not self._is_lost and len(self._aligner):
             self.n_lost += 1
@@ -248,7 +247,6 @@ class Tracker:
 
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
-        self._is_kept, self._n_kept = True, self._n_kept + 1
         self._T_odometry_keyframe = self._T_odometry
         self._covariance = None if self._covariance is None else np.zeros((6, 6))
         if self._view is not None:
@@ -269,7 +267,6 @@ class Tracker:
             "T_before": self._T_before.tolist(),
             "T_odometry": self._T_odometry.tolist(),
             "usual_step": self._usual_step.tolist(),
-            "n_kept": self._n_kept,
             "fusion": self._fusion.state(),
         }
 
@@ -289,7 +286,6 @@ class Tracker:
             self._T_before = np.array(state.get("T_before", track.T_odom_camera))
             self._T_odometry = np.array(state.get("T_odometry", track.T_odom_camera))
             self.keep()
-            self._n_kept = state.get("n_kept", 1)
             self._usual_step = np.array(state.get("usual_step", [0.0, 0.0]))
             self._fusion.restore(state["fusion"])
 
@@ -336,18 +332,6 @@ class Tracker:
         if not self._is_lost and not self._is_contradicted(T_guess, before):
             return _Found(None, float("nan"), True)
         return None
-
-    def _prefers_odometry(self, found: _Found | None, T_guess: Pose) -> bool:
-        """Return whether trusted odometry is preferred to what the frame shows.
-
-        Where each frame becomes a keyframe, the errors of alignment would all add up.
-        """
-        is_followed = found is not None and found.is_followed
-        return (
-            self.trusts_odometry
-            and (not is_followed or self._n_kept > 1)
-            and not self._leaps(T_guess)
-        )
 
     def _is_usual(self, registration: _Registration) -> bool:
         p = self.params
