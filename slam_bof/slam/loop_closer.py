@@ -217,11 +217,13 @@ class LoopCloser:
             self._selector.reset()
             # Relocalisation was confirmed by the frame before, so it belongs to the new segment.
             self.history.assign_previous(track.segment)
+        is_keyframe = False
         if self._mapping.is_full:
             self.n_postponed += 1
         elif not track.is_lost and self._selector.select(
             frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
         ):
+            is_keyframe = True
             before.save(self._mapping)
             self._tracker.keep()
             self.history.frames[-1] = replace(
@@ -236,7 +238,7 @@ class LoopCloser:
             if update is not None:
                 self._apply(update)
         self._last = track, T_odom_camera
-        return self._step(track, T_odom_camera)
+        return replace(self._step(track, T_odom_camera), is_keyframe=is_keyframe)
 
     def _step(self, track: Track, T_odom_camera: Pose) -> Step:
         """Return the result of a frame, and of the keyframes that are in the map since the last."""

@@ -67,9 +67,10 @@ class KeyframeRecord:
 class Step:
     """The result of processing one frame.
 
-    ``keyframe`` is None if the frame did not become one. ``scene`` is the latest label. ``loops``
-    are the edges that were accepted with this frame, and ``candidates`` are all pairs that were
-    considered for them. ``T_map_odom`` corrects the odometry frame (REP 105):
+    ``keyframe`` is the newest keyframe that has come into the map since the step before, None if
+    none has. It is this frame, unless keyframes are processed in the background: ``is_keyframe``
+    says that this frame becomes one. ``scene`` is the latest label. ``loops`` are the edges that
+    were accepted since the step before, and ``candidates`` are all pairs that were considered. ``T_map_odom`` corrects the odometry frame (REP 105):
     ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
     wrong and no better one is known. ``open_axes`` (6, k) are the directions in which the surfaces
     in sight hold nothing, as tangents of the camera's pose, rotation first; the pose along them is
@@ -85,6 +86,7 @@ class Step:
     is_lost: bool = False
     open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
     T_map_camera: Pose | None = None
+    is_keyframe: bool = False
 
     @property
     def health(self) -> str:

@@ -56,13 +56,16 @@ def test_with_drain_every_step_is_that_of_the_caller_s_thread(walk, background):
 
 def test_without_drain_nothing_is_lost(walk, background):
     """Each keyframe comes back with one step or another, and every frame has a pose."""
-    closer, loops = background(), []
+    closer, loops, chosen = background(), [], []
     assert closer.poll() is None
-    for frame, T in walk:
+    for k, (frame, T) in enumerate(walk):
         step = closer.process(frame, T)
         assert step.T_map_odom.shape == (4, 4)
         loops += step.loops
+        if step.is_keyframe:
+            chosen.append(k)
     closer.drain()
+    assert chosen == [keyframe.frame_index for keyframe in closer.map.keyframes]
     assert closer.n_waiting == 0
     last = closer.poll()
     assert len(loops) + len(last.loops) == len(closer.map.loops) > 0

@@ -95,6 +95,8 @@ class Mapper:
     def _open(self) -> None:
         s = self.settings
         self.step: Step | None = None
+        self._chosen: list[PosedFrame] = []
+        self._arrived: list[PosedFrame] = []
         self._session: MapSession | None = None
         config = configs.override(configs.resolve(s.config), list(s.assignments))
         self._config = config
@@ -132,6 +134,8 @@ class Mapper:
             self.health.errors = [*self.health.errors[-9:], str(error)]
             return None
         self.health.add(step.health, time.perf_counter() - start_s)
+        if step.is_keyframe:
+            self._chosen.append(posed)
         self._take(step)
         return step
 
@@ -147,6 +151,15 @@ class Mapper:
     def _take(self, step: Step) -> None:
         self.step = step
         self.is_located |= any(loop.match_id < self._first_keyframe for loop in step.loops)
+        if step.keyframe is not None:
+            newest_s = step.keyframe.stamp_s
+            self._arrived += [p for p in self._chosen if p.frame.stamp_s <= newest_s]
+            self._chosen = [p for p in self._chosen if p.frame.stamp_s > newest_s]
+
+    def take_keyframes(self) -> list[PosedFrame]:
+        """Return the frames whose keyframes have come into the map since the last call."""
+        taken, self._arrived = self._arrived, []
+        return taken
 
     def snapshot(self) -> MapSnapshot:
         """Return the map, once all keyframes so far are in it; may be called in another thread."""

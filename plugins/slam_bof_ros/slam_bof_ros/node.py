@@ -85,7 +85,7 @@ class SlamBofNode(Node):
                 ("map_to_odom", TransformStamped, "~/map_to_odom", 10),
                 ("graph", MarkerArray, "~/graph", LATCHED),
                 ("map", OccupancyGrid, "~/map", LATCHED),
-                ("cloud", PointCloud2, "~/cloud", 1),
+                ("cloud", PointCloud2, "~/cloud", 10),
                 ("scene", String, "~/scene", 10),
                 ("diagnostics", DiagnosticArray, "/diagnostics", 10),
             )
@@ -185,24 +185,36 @@ class SlamBofNode(Node):
                 self._publish_step(posed)
 
     def _publish_step(self, posed: PosedFrame) -> None:
-        """Publish where the camera is, and what a new keyframe shows."""
-        mapper, frame = self._mapper, self._value("map_frame")
-        step, T_map_odom, stamp_s = mapper.step, mapper.T_map_odom, posed.frame.stamp_s
-        if step is None or T_map_odom is None:
+        """Publish where the camera is, and what new keyframes show."""
+        step, T_map_odom = self._mapper.step, self._mapper.T_map_odom
+        if step is not None and T_map_odom is not None and not step.is_lost:
+            T_map_camera = T_map_odom @ posed.T_odom_camera
+            self._publish["pose"].publish(
+                outputs.pose_message(
+                    posed.frame.stamp_s, self._value("map_frame"), T_map_camera, step
+                )
+            )
+        self._publish_keyframes()
+
+    def _publish_keyframes(self) -> None:
+        """Publish cloud and scene of the keyframes that have come into the map."""
+        new = self._mapper.take_keyframes()
+        step, T_map_odom = self._mapper.step, self._mapper.T_map_odom
+        if not new or step is None or T_map_odom is None:
             return
-        T_map_camera = T_map_odom @ posed.T_odom_camera
-        if not step.is_lost:
-            self._publish["pose"].publish(outputs.pose_message(stamp_s, frame, T_map_camera, step))
-        if step.keyframe is None:
-            return
-        self._publish["cloud"].publish(outputs.cloud_message(frame, posed.frame, T_map_camera))
-        scene = step.keyframe.smoothed or step.scene
+        for posed in new:
+            T_map_camera = T_map_odom @ posed.T_odom_camera
+            self._publish["cloud"].publish(
+                outputs.cloud_message(self._value("map_frame"), posed.frame, T_map_camera)
+            )
+        scene = (step.keyframe and step.keyframe.smoothed) or step.scene
         if scene is not None:
             self._publish["scene"].publish(outputs.scene_message(scene))
 
     def _publish_tf(self) -> None:
         """Publish the correction of the odometry; tf holds it until ``tf_ahead_s`` from now."""
         step = self._poll()
+        self._publish_keyframes()
         T_map_odom = self._mapper.T_map_odom
         if step is None or T_map_odom is None:
             return
