@@ -70,12 +70,12 @@ class Step:
     ``keyframe`` is the newest keyframe that has come into the map since the step before, None if
     none has. It is this frame, unless keyframes are processed in the background: ``is_keyframe``
     says that this frame becomes one. ``scene`` is the latest label. ``loops`` are the edges that
-    were accepted since the step before, and ``candidates`` are all pairs that were considered. ``T_map_odom`` corrects the odometry frame (REP 105):
-    ``T_map_camera = T_map_odom @ T_odom_camera``. If ``is_lost`` is true, the odometry pose is
-    wrong and no better one is known. ``open_axes`` (6, k) are the directions in which the surfaces
-    in sight hold nothing, as tangents of the camera's pose, rotation first; the pose along them is
-    that of odometry. ``T_map_camera`` is the pose of the frame in the map; None for a frame that
-    was restored from an interrupted run.
+    were accepted since the step before, and ``candidates`` are all pairs that were considered.
+    ``T_map_odom`` corrects the odometry frame (REP 105): ``T_map_camera = T_map_odom @
+    T_odom_camera``. If ``is_lost`` is true, the odometry pose is wrong and no better one is known.
+    ``open_axes`` (6, k) are the directions in which the surfaces in sight hold nothing, as tangents
+    of the camera's pose, rotation first; the pose along them is that of odometry. ``T_map_camera``
+    is the pose of the frame in the map; None for a frame that was restored from an interrupted run.
     """
 
     keyframe: Keyframe | None
