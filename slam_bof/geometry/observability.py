@@ -34,6 +34,7 @@ OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
 MAX_WEAK_AXES = 4
 """Number of the weakest directions along which poses are searched for."""
+KEEP_ITERATIONS = 2
 MIN_PAIRS = 30
 MIN_RADIUS_M = 0.05
 
@@ -111,9 +112,19 @@ class PrincipalDirections(NamedTuple):
         return np.asarray(A.T @ kept @ A)
 
     def keep(self, axes: Array, T: Pose, T_guess: Pose) -> Pose:
-        """Return the pose (4, 4) that equals ``T_guess`` along axes (6, k), and ``T`` otherwise."""
-        off = self.displacement(se3.inverse(T) @ T_guess)
-        return T @ self.displace(axes @ (axes.T @ off))
+        """Return the pose (4, 4) nearest to ``T_guess`` that differs from ``T`` along axes (6, k).
+
+        Nearest as the camera moves, with 1 rad like 1 m. An alignment that turns the camera before
+        a wall says nothing of where the camera is along the wall: it turns about itself, as
+        odometry errs, and not about what it looks at.
+        """
+        held = np.linalg.svd(axes)[0][:, axes.shape[1] :].T
+        constraints = held @ self.of_tangent()
+        T_kept = T_guess
+        for _ in range(KEEP_ITERATIONS):
+            off = held @ self.displacement(se3.inverse(T) @ T_kept)
+            T_kept = T_kept @ se3.exp(-np.linalg.pinv(constraints) @ off)
+        return T_kept
 
 
 def open_directions(
