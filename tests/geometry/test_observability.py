@@ -79,6 +79,19 @@ def test_what_is_kept_open_is_the_guess_and_nothing_else_is():
     assert se3.inverse(T) @ kept == pytest.approx(np.eye(4), abs=0.01)
 
 
+@pytest.mark.parametrize("off_deg", [-2.0, 1.0])
+def test_before_a_wall_a_camera_is_turned_about_itself(off_deg):
+    """Alignment mends the turn and the distance; odometry alone says where along the wall it is."""
+    aligner, T = pair("wall")
+    turn = se3.exp(np.array([0.0, np.radians(off_deg), 0.0, 0.0, 0.0, 0.0]))
+    by_odometry = T @ turn
+    (aligned,) = aligner.refine(QUERY, np.array([MATCH]), by_odometry[None])
+    directions, axes = open_directions(aligner, QUERY, MATCH, aligned)
+    kept = directions.keep(axes, aligned, by_odometry)
+    assert se3.rotation_angle(se3.inverse(T) @ kept) < np.radians(0.1)
+    assert kept[:3, 3] == pytest.approx(T[:3, 3], abs=0.002)
+
+
 def test_a_wrong_minimum_on_a_floor_is_left_for_the_right_one():
     aligner, T = pair("box", "kinect")
     wrong = T.copy()
