@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from slam_bof.core import Checkpoint, StageClock
@@ -125,10 +126,7 @@ class DirectMapping:
 
     def __init__(self, config: Config, clock: StageClock) -> None:
         self.map = KeyframeMap(config, clock)
-
-    def submit(self, job: KeyframeJob) -> MapUpdate:
-        """Process a keyframe."""
-        return map_keyframe(self.map, job)
+        self.submit = partial(map_keyframe, self.map)
 
     def send(self) -> None:
         """Do nothing: ``submit`` does it all."""
