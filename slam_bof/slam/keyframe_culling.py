@@ -74,8 +74,8 @@ class KeyframeCulling:
     window
         Number of keyframes for which a loop may wait for others to agree.
     max_distance_m, max_angle_rad
-        Largest error, in the map, of the loops of a keyframe that is culled. One with a loop that
-        the map contradicts is kept for the final optimisation to judge.
+        Largest error, in the map, of the loops of a keyframe that is culled. A keyframe with a
+        loop that the map contradicts is kept until the final optimisation, which weighs all loops.
 
     Attributes
     ----------
