@@ -15,7 +15,7 @@ from slam_bof.bof import (
 )
 from slam_bof.geometry import points_camera_f32, se3
 from slam_bof.types import Array, DepthFrame
-from slam_bof.visualization.figures import COLORS
+from slam_bof.visualization.figure_style import COLORS
 from slam_bof.visualization.svg import document, dots, line, picture, shape, words
 
 __all__ = ["draw_bof", "draw_constellations"]
