@@ -113,29 +113,24 @@ def run(
     quiet: QUIET = False,
 ) -> None:
     """Run the mini-SLAM over a sequence; write trajectory, loops, labels and map to a folder."""
-    from slam_bof.slam import config as configs
-
+    sequences = sequences or []
     sequence = sequences[0] if sequences else None
-    if scheduler is not None and not (sequences and len(sequences) > 1):
+    if scheduler is not None and len(sequences) < 2:
         raise typer.BadParameter("found --scheduler with one sequence, expected several")
-    if sequences and len(sequences) > 1 and (resume is not None or map_ is not None):
+    if len(sequences) > 1 and (resume is not None or map_ is not None):
         option = "--map" if resume is None else "--resume"
         raise typer.BadParameter(f"found {len(sequences)} sequences with {option}, expected one")
     if resume is not None:
-        given = {
-            "--map": map_ is not None,
-            "--config": config != "indoor",
-            "--set": bool(assignments),
-            "--dataset": dataset is not None,
-            "--model": model is not None,
-            "--seed": seed is not None,
-        }
-        wrong = [option for option, is_given in given.items() if is_given]
-        if wrong:
-            raise ConfigError(
-                f"{', '.join(wrong)}: found with --resume, expected without: a resumed run keeps "
-                "its configuration"
-            )
+        _refuse_with_resume(
+            {
+                "--map": map_ is not None,
+                "--config": config != "indoor",
+                "--set": bool(assignments),
+                "--dataset": dataset is not None,
+                "--model": model is not None,
+                "--seed": seed is not None,
+            }
+        )
         _resume(
             sequence,
             map_file(resume),
@@ -151,12 +146,8 @@ def run(
         return
     if sequence is None:
         raise typer.BadParameter("found no SEQUENCE, expected one, or --resume")
-    chosen = configs.override(configs.resolve(config), assignments or [])
-    values: dict[str, Any] = {"model": model, "seed": seed}
-    if dataset is not None:
-        values["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
-    chosen = chosen.model_copy(update={k: v for k, v in values.items() if v is not None})
-    if sequences and len(sequences) > 1:
+    chosen = _configuration(config, assignments or [], dataset=dataset, model=model, seed=seed)
+    if len(sequences) > 1:
         _run_many(
             sequences,
             chosen,
@@ -184,6 +175,29 @@ def run(
         quiet=quiet,
         as_json=as_json,
     )
+
+
+def _refuse_with_resume(given: dict[str, bool]) -> None:
+    """Refuse options that were given although the run is resumed."""
+    wrong = [option for option, is_given in given.items() if is_given]
+    if wrong:
+        raise ConfigError(
+            f"{', '.join(wrong)}: found with --resume, expected without: a resumed run keeps "
+            "its configuration"
+        )
+
+
+def _configuration(
+    name: str, assignments: list[str], *, dataset: str | None, model: str | None, seed: int | None
+) -> Config:
+    """Return the configuration of a name, changed by the options that were given."""
+    from slam_bof.slam import config as configs
+
+    config = configs.override(configs.resolve(name), assignments)
+    values: dict[str, Any] = {"model": model, "seed": seed}
+    if dataset is not None:
+        values["dataset"] = config.dataset.model_copy(update={"name": dataset})
+    return config.model_copy(update={k: v for k, v in values.items() if v is not None})
 
 
 def run_new(
