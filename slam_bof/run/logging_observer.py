@@ -6,7 +6,6 @@ import logging
 
 from slam_bof.ports import Observer
 from slam_bof.types import Step
-from slam_bof.visualization import FrameHealth
 
 __all__ = ["LoggingObserver"]
 
@@ -17,16 +16,9 @@ class LoggingObserver:
     """Logs warnings and where odometry is lost and recovered, and informs another observer."""
 
     def __init__(self, observer: Observer, first: int) -> None:
-        self.health: list[FrameHealth] = []
-        """Of every frame so far."""
         self._first = first
         self._observer = observer
         self._is_lost = False
-
-    @property
-    def n_frames(self) -> int:
-        """Number of frames so far."""
-        return len(self.health)
 
     def on_start(self, n_frames: int) -> None:
         """Inform the other observer."""
@@ -34,7 +26,6 @@ class LoggingObserver:
 
     def on_step(self, frame_index: int, step: Step) -> None:
         """Log where odometry is lost and recovered, and inform the other observer."""
-        self.health.append(FrameHealth(step.health, step.open_axes.shape[1]))
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(
