@@ -20,10 +20,10 @@ from slam_bof.types import Array, DepthFrame, Pose, Trajectory
 __all__ = ["Calibration", "FrameMotion", "calibrate", "measure_motions"]
 
 BASELINES = ((0.1, 0.15), (0.4, 0.5))
-"""Motions are measured over about this turn in rad or shift in m: short ones tell the clock, long
-ones the scale."""
+"""Motions are measured over about this turn in rad or shift in m. Short ones determine the time
+offset, long ones the scale."""
 MAX_GAP_S = 0.15
-"""Between poses of odometry farther apart than this the clock cannot be told."""
+"""Poses of odometry farther apart than this do not determine the time offset."""
 MIN_AGREEMENT = 0.6
 """Smallest share of inliers among the points that can be compared, at which an alignment counts."""
 MIN_VISIBLE_RATIO = 0.3
@@ -47,10 +47,10 @@ class FrameMotion(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """What odometry and depth differ by; each with its standard deviation.
+    """The differences between odometry and depth, each with its standard deviation.
 
     ``time_offset_s`` is added to the stamps of depth images to get odometry's clock; its standard
-    deviation is infinite where the poses of odometry are too far apart to tell.
+    deviation is infinite if the poses of odometry are too far apart to measure it.
     ``depth_scale`` multiplies depth to get odometry's unit of length. ``tilt_rad`` (3,) is the
     rotation vector that takes odometry's axes to those of the depth camera.
     """
