@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.errors import RunError
-from slam_bof.ports import Observer
 from slam_bof.types import Step
 from slam_bof.visualization import FrameHealth
 
@@ -20,7 +19,7 @@ __all__ = ["HealthLog", "read_health", "write_health"]
 
 
 class HealthLog:
-    """Writes the health of each frame to a file as the run goes on; informs another observer.
+    """Keeps the health of each frame, and writes it to a file as the run goes on.
 
     The map does not contain it. A resumed run takes that of restored frames from the file. Without
     the file it is unknown which directions were open in them; they count as 0.
@@ -31,39 +30,30 @@ class HealthLog:
         The health of every frame so far.
     """
 
-    def __init__(self, file: TextIO, known: Sequence[FrameHealth], observer: Observer) -> None:
+    def __init__(self) -> None:
         self.frames: list[FrameHealth] = []
-        self._observer = observer
-        self._writer = csv.writer(file)
-        self._known = known
-        self._writer.writerows([FrameHealth._fields, *known])
+        self._known: list[FrameHealth] = []
+        self._file: TextIO | None = None
 
-    @classmethod
     @contextmanager
-    def open(cls, path: Path, n_restored: int, observer: Observer) -> Iterator[HealthLog]:
-        """Open the file of a run of which ``n_restored`` frames were restored."""
-        known: list[FrameHealth] = []
+    def saved_in(self, path: Path, n_restored: int) -> Iterator[None]:
+        """Write frames to a file, from which the first ``n_restored`` are read."""
         with suppress(RunError):  # a damaged file must not keep the run from being resumed
-            known = read_health(path)[:n_restored]
-        with path.open("w", newline="", encoding="utf-8", buffering=1) as file:
-            yield cls(file, known, observer)
+            self._known = read_health(path)[:n_restored]
+        with path.open("w", newline="", encoding="utf-8", buffering=1) as self._file:
+            csv.writer(self._file).writerows([FrameHealth._fields, *self._known])
+            yield
+        self._file = None
 
-    def on_start(self, n_frames: int) -> None:
-        """Inform the other observer."""
-        self._observer.on_start(n_frames)
-
-    def on_warning(self, message: str) -> None:
-        """Inform the other observer."""
-        self._observer.on_warning(message)
-
-    def on_step(self, frame_index: int, step: Step) -> None:
-        """Add the next frame, and inform the other observer."""
-        if len(self.frames) < len(self._known):
-            self.frames.append(self._known[len(self.frames)])
-        else:
-            self.frames.append(FrameHealth(step.health, step.open_axes.shape[1]))
-            self._writer.writerow(self.frames[-1])
-        self._observer.on_step(frame_index, step)
+    def add(self, step: Step) -> None:
+        """Add the next frame."""
+        n = len(self.frames)
+        if n < len(self._known):
+            self.frames.append(self._known[n])
+            return
+        self.frames.append(FrameHealth(step.health, step.open_axes.shape[1]))
+        if self._file is not None:
+            csv.writer(self._file).writerow(self.frames[-1])
 
 
 def write_health(

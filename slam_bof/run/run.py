@@ -15,7 +15,6 @@ from slam_bof.errors import MapError
 from slam_bof.maps import check_session, finish_session, restore_session, with_model_of
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry, ScaledDataset
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
-from slam_bof.run.health import HealthLog
 from slam_bof.run.logging_observer import LoggingObserver
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
@@ -29,7 +28,6 @@ from slam_bof.slam import (
     of_session,
 )
 from slam_bof.store import MapStore, MapWriter, Session
-from slam_bof.visualization import FrameHealth
 
 __all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
 
@@ -240,13 +238,12 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     with MapWriter(store) as writer:
         restore_session(closer, store, session, is_new=is_new)
         closer.journal = writer.write
-        n_restored = len(closer.history)
-        with HealthLog.open(folder / "health.csv", n_restored, job.observer) as health:
-            slam = MiniSlam(job.odometry, closer, observer=health, clock=job.clock)
-            try:
+        slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
+        try:
+            with job.observer.health.saved_in(folder / "health.csv", len(closer.history)):
                 result = slam.run(job.dataset, max_frames=job.max_frames)
-            except KeyboardInterrupt:
-                raise RunInterrupted(folder, len(health.frames)) from None
+        except KeyboardInterrupt:
+            raise RunInterrupted(folder, job.observer.n_frames) from None
     write_trajectory(folder, "odometry", result.odometry)
     write_trajectory(folder, "optimized", result.optimized)
     used = Usage.now() - started
@@ -257,7 +254,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         job.observer.on_warning(
             f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
         )
-    record = _finish(job, store, session, result, used, health.frames)
+    record = _finish(job, store, session, result, used)
     if closer.map.n_components > 1:
         job.observer.on_warning(
             f"the map has {closer.map.n_components} components that no loop has joined: poses of "
@@ -270,12 +267,7 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
 
 
 def _finish(
-    job: _Job,
-    store: MapStore,
-    session: Session,
-    result: SlamResult,
-    used: Usage,
-    health: Sequence[FrameHealth],
+    job: _Job, store: MapStore, session: Session, result: SlamResult, used: Usage
 ) -> RunRecord:
     """Label the whole map, finish the session in it, and return the record of the run."""
     dataset, config, closer = job.dataset, job.config, job.closer
@@ -295,7 +287,7 @@ def _finish(
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
         with_color=job.with_color,
         z_up=job.z_up,
-        health=health,
+        health=job.observer.health.frames,
         usage=used,
         clock=job.clock,
     )
