@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 from conftest import ROOT
 
 BENCHMARKS = ROOT / "scripts" / "benchmarks"
@@ -49,3 +50,11 @@ def test_every_measuring_script_is_run(load_script):
     for path in sorted(BENCHMARKS.parent.glob("measure_*")):
         assert path.name in text, f"{path.name} is behind no section"
     assert len({benchmark.title for benchmark in titles.values()}) == len(titles)
+
+
+@pytest.mark.parametrize("name", ["redkitchen", "lab", "office", "iphone_meeting"])
+def test_recorded_sequences_are_looked_for_and_never_made(load_script, tmp_path, name):
+    script = load_script("benchmarks")
+    data = script["Data"](tmp_path / "data", tmp_path, False)
+    with pytest.raises(script["UnavailableError"], match=f"{name}.*found no such sequence"):
+        data.sequence(name)
