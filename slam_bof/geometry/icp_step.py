@@ -13,15 +13,15 @@ from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 __all__ = ["Association", "associate", "small_motions", "solve_step"]
 
 MIN_COSINE = 0.6
-"""Between the normals of points that match."""
+"""Least cosine between the normals of points that match."""
 MIN_SPREAD = np.float32(0.02)
 """Mean square of normals along a direction, below which it is their noise."""
 MAX_LEVERAGE = np.float32(10.0)
-"""A point whose normal is rare counts at most so many times as much as others."""
+"""A point whose normal is rare has at most this many times the weight of others."""
 MIN_INFORMATION = np.float32(0.003)
 """Steps along directions with a smaller share of the information are shortened."""
 MIN_PAIRS = 12
-"""With fewer pairs a view is not moved."""
+"""A view with fewer pairs is not moved."""
 
 
 class Association(NamedTuple):

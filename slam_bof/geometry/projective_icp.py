@@ -33,7 +33,7 @@ from slam_bof.types import Array, Params
 __all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
 
 ORBIT_M = 2.0
-"""Half the random motions turn about a point so far ahead, at which the camera keeps looking."""
+"""Half of the random motions turn about a point this far ahead, so that it stays in view."""
 N_COARSE_POINTS = 400
 """Number of points of a view that ``coarse_score`` uses."""
 CHUNK = 2**15

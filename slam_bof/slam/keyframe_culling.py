@@ -1,4 +1,4 @@
-"""Keyframe culling: where a place is known well enough, later views of it are let go of.
+"""Keyframe culling: where enough keyframes show a place, later ones are removed from the map.
 
 The reduced pose graph of Johannsson et al. (ICRA 2013), with the test of ORB-SLAM that several
 others see the same: a keyframe goes if enough older ones stand where it stands and look where it
@@ -23,7 +23,7 @@ __all__ = ["KeyframeCulling", "MapParams"]
 
 
 class MapParams(Params):
-    """When the map lets go of keyframes, so that it stops growing where it is complete."""
+    """When keyframes are removed from the map, so that it stops growing where it is complete."""
 
     cull: bool = Field(
         True,

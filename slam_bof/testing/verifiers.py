@@ -1,4 +1,4 @@
-"""What a verifier is held to."""
+"""The contract of verifier plug-ins, as a test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["check_verifier"]
 
 CLOUD = PointParams(stride=4, max_range_m=4.0)
 SMALL = se3.exp(np.array([0.02, -0.03, 0.02, 0.05, 0.03, -0.05]))
-"""What the guess is off by."""
+"""Error of the initial guess."""
 
 
 def check_verifier(
