@@ -50,7 +50,7 @@ def draw_bof(frame: DepthFrame, params: PlaceParams, *, title: str) -> str:
     parts = [
         words(MARGIN_PX, MARGIN_PX + 14, title, size=15),
         words(left[0], top - 10, f"Cloud of {len(points)} points in {n} layers"),
-        words(left[1], top - 10, "Their binary images, and contours of at least 1 %"),
+        words(left[1], top - 10, "Their binary images with contours"),
         words(left[2], top - 10, f"BOF: {len(radii)} curves of {radii.shape[1]} values"),
         *_cloud(points, n, colors, (left[0], top)),
     ]
