@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
-from functools import partial
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +13,7 @@ import typer
 
 from slam_bof.cli.inputs import map_file, open_sequence
 from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
+from slam_bof.cli.run_many import run_many
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def run(
         raise typer.BadParameter("found no SEQUENCE, expected one, or --resume")
     chosen = _configuration(config, assignments or [], dataset=dataset, model=model, seed=seed)
     if len(sequences) > 1:
-        _run_many(
+        run_many(
             sequences,
             chosen,
             out,
@@ -232,60 +232,6 @@ def run_new(
             remarks=remarks,
         )
     _show(result, as_json=as_json)
-
-
-def _run_many(
-    sequences: list[Path],
-    config: Config,
-    out: Path,
-    *,
-    n_jobs: int | None,
-    scheduler: str | None,
-    frames: str | None,
-    quiet: bool,
-    as_json: bool,
-    **options: Any,
-) -> None:
-    """Run sequences in folders of their own and print a table of all; exit with 1 if one failed."""
-    from slam_bof.cli.console import Bar, print_json, print_table
-    from slam_bof.core import on_cluster
-    from slam_bof.run import run_sequences
-
-    open_ = partial(open_sequence, choice=config.dataset, frames=frames, quiet=True)
-    done = []
-    with (
-        nullcontext() if scheduler is None else on_cluster(scheduler),
-        Bar("Running sequences", quiet=quiet) as bar,
-    ):
-        found = run_sequences(
-            sequences, open_, config, out, n_jobs=n_jobs, frames=frames, **options
-        )
-        for one in found:
-            done.append(one)
-            bar.show(len(done), len(sequences))
-    if as_json:
-        print_json(
-            [
-                {"sequence_path": str(one.sequence), "error": one.error}
-                if one.result is None
-                else {"folder": str(one.result.folder), **one.result.metrics}
-                for one in done
-            ]
-        )
-    else:
-        keys = ("ate_odometry_m", "ate_m", "n_loops", "n_keyframes", "n_components", "fps")
-        rows = [
-            (one.sequence, *map(one.result.metrics.get, keys), one.result.folder)
-            for one in done
-            if one.result is not None
-        ]
-        print_table(("sequence", *keys, "folder"), rows)
-    failed = [one for one in done if one.result is None]
-    for one in failed:
-        typer.echo(f"error: {one.error}", err=True)
-    if failed:
-        typer.echo(f"{len(failed)} of {len(done)} sequences failed", err=True)
-        raise typer.Exit(1)
 
 
 def _resume(
