@@ -25,6 +25,14 @@ def test_a_selection_is_measured_and_written(tmp_path):
     assert text.count("## ") == 1
 
 
+def test_the_quick_sequence_has_revisits_for_the_index(tmp_path):
+    done = benchmarks("constellation", "--quick", "--work", tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "benchmarks.md").read_text("utf-8")
+    assert "--sizes 50 --min-age=20 --markdown\n" in text
+    assert "\n| 50 | " in text
+
+
 def test_missing_data_leave_a_measurement_out(tmp_path):
     done = benchmarks("run", "--data", tmp_path / "none", "--work", tmp_path)
     assert done.returncode == 1
