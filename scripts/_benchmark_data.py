@@ -21,7 +21,9 @@ RECORDED = {
     "lab": "realsense/lab/seq-01",
     "office": "realsense/office/seq-01",
 }
-"""Folders of the recorded sequences, below the folder of all data."""
+"""Folders of the recorded sequences with which models are trained, below the folder of all data."""
+FOLDERS = {**RECORDED, "iphone_meeting": "iphone_meeting"}
+"""Folders of all recorded sequences."""
 QUICK_FRAMES = 60
 
 Command = list[str]
@@ -44,8 +46,8 @@ class Data:
         """Return the folder of a sequence; make it if it is synthetic."""
         if self.quick:
             return str(self._small())
-        if name in RECORDED:
-            folder = self.recorded / RECORDED[name]
+        if name in FOLDERS:
+            folder = self.recorded / FOLDERS[name]
             if not folder.is_dir():
                 raise UnavailableError(f"{folder}: found no such sequence; --data says where")
         elif name == "twin":

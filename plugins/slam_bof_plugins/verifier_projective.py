@@ -1,8 +1,8 @@
 """Geometric verification of depth images: point-to-plane ICP with projective association.
 
 A point's match is what the other image shows at the pixel it falls on (Blais and Levine 1995),
-which takes no search tree. Without a guess, random poses about the same
-view are tried first: that is for views found alike, not for any two.
+which needs no search tree. Without a guess, random poses around that of the match are tried first,
+so the two views must be close to each other.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class ProjectiveParams(RegistrationQualityParams):
         0.15,
         ge=0,
         le=1,
-        description="Largest share of points that may stand before what the other view sees.",
+        description="Largest share of points that may lie in front of what the other view sees.",
     )
     max_free_space_violation_global: float = Field(
         0.1,
@@ -48,7 +48,7 @@ class ProjectiveParams(RegistrationQualityParams):
 
 
 class ProjectiveVerifier:
-    """Keeps small views, aligns two of them, and judges whether they show the same surfaces."""
+    """Keeps small views, aligns two of them, and decides whether they show the same surfaces."""
 
     Params = ProjectiveParams
 
@@ -84,7 +84,7 @@ class ProjectiveVerifier:
         T_match_query: Array | None = None,
         seed: int = 0,
     ) -> list[Verification]:
-        """Align ``query`` with each match from its guess or, without any, from standing still."""
+        """Align ``query`` with each match from its guess or else from the same pose."""
         if len(matches) == 0:
             return []
         ids = np.array(matches)
@@ -119,7 +119,7 @@ class ProjectiveVerifier:
     def _without_open_directions(
         self, query: int, match: int, verification: Verification
     ) -> Verification:
-        """Take away what information there seems to be along directions that nothing holds."""
+        """Remove the apparent information along directions that the surfaces leave open."""
         if not verification.accepted:
             return verification
         found = open_directions(self._aligner, query, match, verification.T_match_query)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from slam_bof.cli.answers import pose_values, show_answer, show_answers
 from slam_bof.cli.inputs import map_file, open_sequence, read_image
 from slam_bof.cli.options import (
     DEPTH_SCALE,
@@ -16,12 +18,13 @@ from slam_bof.cli.options import (
     INTRINSICS,
     JSON,
     QUIET,
+    SOURCE,
     Format,
     NumbersCommand,
 )
 
 if TYPE_CHECKING:
-    from slam_bof.atlas import AtlasLocalization, AtlasMap
+    from slam_bof.atlas import AtlasLocalizer, AtlasMap
     from slam_bof.types import DepthFrame
 
 __all__ = ["app"]
@@ -71,10 +74,7 @@ def remove(atlas: ATLAS, maps: MAPS, as_json: JSON = False) -> None:
 @app.command(cls=NumbersCommand)
 def localize(
     atlas: ATLAS,
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="SEQUENCE|IMAGE", help="A sequence, or a depth image (PNG, NPY)."),
-    ],
+    source: SOURCE,
     every: EVERY = 1,
     frames: FRAMES = None,
     intrinsics: INTRINSICS = None,
@@ -88,49 +88,30 @@ def localize(
     Prints the map, T_map_camera, the matching keyframe and its room, or why they are unknown.
     """
     from slam_bof.atlas import Atlas, AtlasLocalizer
-    from slam_bof.cli.console import Bar, print_json
-    from slam_bof.cli.tables import show_rows
-    from slam_bof.datasets import first_frame, is_image
+    from slam_bof.datasets import is_image
     from slam_bof.slam import PluginChoice
 
     form: Format = "json" if as_json else format_
-    localizer = AtlasLocalizer(Atlas.open(atlas))
+    answer = partial(_answer, AtlasLocalizer(Atlas.open(atlas)))
     if is_image(source) and not source.is_dir():
         frame, _ = read_image(source, None, intrinsics=intrinsics, depth_scale=depth_scale)
-        row = _row(0, frame, localizer.localize(frame))
-        if form == "json":
-            print_json(row)
-        else:
-            show_rows([row], COLUMNS, form)
+        show_answer(frame, answer, COLUMNS, form)
         return
     sequence, _ = open_sequence(source, PluginChoice(name="auto"), frames, quiet=True)
-    rows, first = [], first_frame(sequence)
-    with Bar("Localizing", quiet=quiet or form != "table") as bar:
-        for index in range(0, len(sequence), every):
-            frame = sequence.frame(index)
-            rows.append(_row(first + index, frame, localizer.localize(frame)))
-            bar.show(index + 1, len(sequence))
-    show_rows(rows, COLUMNS, form)
-    if form == "table":
-        known = sum(row["is_known"] for row in rows)
-        typer.echo(f"{known} of {len(rows)} frames localized")
+    show_answers(sequence, answer, COLUMNS, form, every=every, quiet=quiet)
 
 
-def _row(index: int, frame: DepthFrame, found: AtlasLocalization) -> dict[str, Any]:
-    """Return the answer for a frame as a row."""
-    from slam_bof.geometry import se3
-
+def _answer(localizer: AtlasLocalizer, frame: DepthFrame) -> dict[str, Any]:
+    """Localize a frame; return the answer as a row."""
+    found = localizer.localize(frame)
     located = found.located
-    T = None if located is None else located.localization.T_map_camera
+    T_map_camera = None if located is None else located.localization.T_map_camera
     keyframe = None if located is None else located.keyframe
     return {
-        "frame_index": index,
         "stamp_s": frame.stamp_s,
-        "is_known": T is not None,
+        "is_known": T_map_camera is not None,
         "map": None if found.map is None else found.map.path,
-        "translation_m": None if T is None else tuple(T[:3, 3].tolist()),
-        "quaternion_xyzw": None if T is None else tuple(se3.to_quaternion(T).tolist()),
-        "T_map_camera": None if T is None else T.tolist(),
+        **pose_values(T_map_camera),
         "keyframe_id": None if keyframe is None else keyframe.id,
         "room": None if located is None else located.room,
         "reason": found.reason,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam_bof.cli.inputs import open_sequence
-from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, QUIET, SET
+from slam_bof.cli.options import DATASET, FRAMES, JSON, MAX_FRAMES, QUIET, SET
 
 if TYPE_CHECKING:
     from slam_bof.cli.console import FrameBar
@@ -36,9 +36,7 @@ def check(
         ),
     ] = None,
     assignments: SET = None,
-    dataset: Annotated[
-        str, typer.Option(help="Layout of the sequence; by default it is recognised.")
-    ] = "auto",
+    dataset: DATASET = "auto",
     frames: FRAMES = None,
     max_frames: MAX_FRAMES = None,
     as_json: JSON = False,

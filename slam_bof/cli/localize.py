@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+from slam_bof.cli.answers import pose_values, show_answer, show_answers
 from slam_bof.cli.inputs import map_file, open_sequence, read_image
 from slam_bof.cli.options import (
     COMPONENT,
+    DATASET,
     DEPTH_SCALE,
     EVERY,
     FORMAT,
@@ -18,15 +20,12 @@ from slam_bof.cli.options import (
     JSON,
     MAP,
     QUIET,
+    SOURCE,
     Format,
 )
-from slam_bof.cli.tables import show_rows
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from slam_bof.maps import MapLocalizer
-    from slam_bof.ports import Dataset
     from slam_bof.types import DepthFrame, Trajectory
 
 __all__ = ["localize"]
@@ -48,15 +47,10 @@ COLUMNS = (
 
 def localize(
     map_: MAP,
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="SEQUENCE|IMAGE", help="A sequence, or a depth image (PNG, NPY)."),
-    ],
+    source: SOURCE,
     every: EVERY = 1,
     frames: FRAMES = None,
-    dataset: Annotated[
-        str, typer.Option(help="Layout of a SEQUENCE; by default it is recognised.")
-    ] = "auto",
+    dataset: DATASET = "auto",
     component: COMPONENT = None,
     intrinsics: INTRINSICS = None,
     depth_scale: DEPTH_SCALE = None,
@@ -70,66 +64,31 @@ def localize(
     of the image, or why the pose is unknown. For a sequence with true poses, the table ends with
     the accuracy of the answers.
     """
-    from slam_bof.cli.console import Bar, print_json
     from slam_bof.datasets import first_frame, is_image
     from slam_bof.maps import MapLocalizer
     from slam_bof.slam import PluginChoice
 
     form: Format = "json" if as_json else format_
-    localizer = MapLocalizer.open(map_file(map_), component=component)
+    answer = partial(_answer, MapLocalizer.open(map_file(map_), component=component))
     if is_image(source) and not source.is_dir():
-        frame = read_image(source, map_, intrinsics=intrinsics, depth_scale=depth_scale)[0]
-        row = _row(0, frame, localizer)
-        if form == "json":
-            print_json(row)
-        else:
-            show_rows([row], COLUMNS, form)
+        frame, _ = read_image(source, map_, intrinsics=intrinsics, depth_scale=depth_scale)
+        show_answer(frame, answer, COLUMNS, form)
         return
     sequence, _ = open_sequence(source, PluginChoice(name=dataset), frames, quiet=True)
-    truth, first = sequence.groundtruth(), first_frame(sequence)
-    rows: list[dict[str, Any]] = []
-    with Bar("Localizing", quiet=quiet or form != "table") as bar:
-        for index, frame in _frames(sequence, every, rows):
-            rows.append(_row(first + index, frame, localizer))
-            bar.show(index + 1, len(sequence))
-    show_rows(rows, COLUMNS, form)
-    if form == "table":
-        _summarise(rows, truth, first)
+    rows = show_answers(sequence, answer, COLUMNS, form, every=every, quiet=quiet)
+    truth = sequence.groundtruth()
+    if form == "table" and truth is not None:
+        _show_accuracy(rows, truth, first_frame(sequence))
 
 
-def _frames(
-    sequence: Dataset, every: int, rows: list[dict[str, Any]]
-) -> Iterator[tuple[int, DepthFrame]]:
-    """Yield the frames; for a frame that cannot be read, add a row that says so."""
-    from slam_bof.datasets import first_frame
-    from slam_bof.errors import DatasetError
-
-    for index in range(0, len(sequence), every):
-        try:
-            yield index, sequence.frame(index)
-        except DatasetError as error:
-            rows.append(
-                {
-                    "frame_index": first_frame(sequence) + index,
-                    "is_known": False,
-                    "reason": str(error),
-                }
-            )
-
-
-def _row(index: int, frame: DepthFrame, localizer: MapLocalizer) -> dict[str, Any]:
+def _answer(localizer: MapLocalizer, frame: DepthFrame) -> dict[str, Any]:
     """Localize a frame; return the answer as a row."""
-    from slam_bof.geometry import se3
-
     located = localizer.localize(frame)
-    found, scene, T = located.localization, located.scene, located.localization.T_map_camera
+    found, scene = located.localization, located.scene
     return {
-        "frame_index": index,
         "stamp_s": frame.stamp_s,
         "is_known": found.is_known,
-        "translation_m": None if T is None else tuple(T[:3, 3].tolist()),
-        "quaternion_xyzw": None if T is None else tuple(se3.to_quaternion(T).tolist()),
-        "T_map_camera": None if T is None else T.tolist(),
+        **pose_values(found.T_map_camera),
         "component": localizer.component if found.is_known else None,
         "keyframe_id": None if located.keyframe is None else located.keyframe.id,
         "overlap": found.overlap if found.is_known else None,
@@ -141,16 +100,12 @@ def _row(index: int, frame: DepthFrame, localizer: MapLocalizer) -> dict[str, An
     }
 
 
-def _summarise(rows: list[dict[str, Any]], truth: Trajectory | None, first: int) -> None:
-    """Print how many frames were localized and, with true poses, how accurately."""
+def _show_accuracy(rows: list[dict[str, Any]], truth: Trajectory, first: int) -> None:
+    """Print how accurately frames were localized; the true poses begin with frame ``first``."""
     import numpy as np
 
     from slam_bof.evaluation import pose_accuracy
 
-    known = sum(row["is_known"] for row in rows)
-    typer.echo(f"{known} of {len(rows)} frames localized")
-    if truth is None:
-        return
     unknown = np.full((4, 4), np.nan)
     found = np.array([row.get("T_map_camera") or unknown for row in rows])
     accuracy = pose_accuracy(found, truth.poses[[row["frame_index"] - first for row in rows]])

@@ -15,6 +15,7 @@ __all__ = [
     "CAMERA",
     "COMPONENT",
     "COPIES",
+    "DATASET",
     "DEPTH_SCALE",
     "EVERY",
     "FORMAT",
@@ -28,6 +29,7 @@ __all__ = [
     "QUIET",
     "SEED",
     "SET",
+    "SOURCE",
     "Format",
     "NumbersCommand",
     "finite",
@@ -53,6 +55,11 @@ SET = Annotated[
 OUT = Annotated[
     Path, typer.Option("--out", "-o", help="Folder in which the run's folder is created.")
 ]
+SOURCE = Annotated[
+    Path,
+    typer.Argument(metavar="SEQUENCE|IMAGE", help="A sequence, or a depth image (PNG, NPY)."),
+]
+DATASET = Annotated[str, typer.Option(help="Layout of a SEQUENCE; by default it is recognised.")]
 FRAMES = Annotated[
     str | None,
     typer.Option(metavar="A:B", help="Use only the frames from A up to, not including, B."),

@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, nullcontext
-from functools import partial
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,6 +13,7 @@ import typer
 
 from slam_bof.cli.inputs import map_file, open_sequence
 from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
+from slam_bof.cli.run_many import run_many
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -113,29 +113,24 @@ def run(
     quiet: QUIET = False,
 ) -> None:
     """Run the mini-SLAM over a sequence; write trajectory, loops, labels and map to a folder."""
-    from slam_bof.slam import config as configs
-
+    sequences = sequences or []
     sequence = sequences[0] if sequences else None
-    if scheduler is not None and not (sequences and len(sequences) > 1):
+    if scheduler is not None and len(sequences) < 2:
         raise typer.BadParameter("found --scheduler with one sequence, expected several")
-    if sequences and len(sequences) > 1 and (resume is not None or map_ is not None):
+    if len(sequences) > 1 and (resume is not None or map_ is not None):
         option = "--map" if resume is None else "--resume"
         raise typer.BadParameter(f"found {len(sequences)} sequences with {option}, expected one")
     if resume is not None:
-        given = {
-            "--map": map_ is not None,
-            "--config": config != "indoor",
-            "--set": bool(assignments),
-            "--dataset": dataset is not None,
-            "--model": model is not None,
-            "--seed": seed is not None,
-        }
-        wrong = [option for option, is_given in given.items() if is_given]
-        if wrong:
-            raise ConfigError(
-                f"{', '.join(wrong)}: found with --resume, expected without: a resumed run keeps "
-                "its configuration"
-            )
+        _refuse_with_resume(
+            {
+                "--map": map_ is not None,
+                "--config": config != "indoor",
+                "--set": bool(assignments),
+                "--dataset": dataset is not None,
+                "--model": model is not None,
+                "--seed": seed is not None,
+            }
+        )
         _resume(
             sequence,
             map_file(resume),
@@ -151,13 +146,9 @@ def run(
         return
     if sequence is None:
         raise typer.BadParameter("found no SEQUENCE, expected one, or --resume")
-    chosen = configs.override(configs.resolve(config), assignments or [])
-    values: dict[str, Any] = {"model": model, "seed": seed}
-    if dataset is not None:
-        values["dataset"] = chosen.dataset.model_copy(update={"name": dataset})
-    chosen = chosen.model_copy(update={k: v for k, v in values.items() if v is not None})
-    if sequences and len(sequences) > 1:
-        _run_many(
+    chosen = _configuration(config, assignments or [], dataset=dataset, model=model, seed=seed)
+    if len(sequences) > 1:
+        run_many(
             sequences,
             chosen,
             out,
@@ -184,6 +175,29 @@ def run(
         quiet=quiet,
         as_json=as_json,
     )
+
+
+def _refuse_with_resume(given: dict[str, bool]) -> None:
+    """Refuse options that were given although the run is resumed."""
+    wrong = [option for option, is_given in given.items() if is_given]
+    if wrong:
+        raise ConfigError(
+            f"{', '.join(wrong)}: found with --resume, expected without: a resumed run keeps "
+            "its configuration"
+        )
+
+
+def _configuration(
+    name: str, assignments: list[str], *, dataset: str | None, model: str | None, seed: int | None
+) -> Config:
+    """Return the configuration of a name, changed by the options that were given."""
+    from slam_bof.slam import config as configs
+
+    config = configs.override(configs.resolve(name), assignments)
+    values: dict[str, Any] = {"model": model, "seed": seed}
+    if dataset is not None:
+        values["dataset"] = config.dataset.model_copy(update={"name": dataset})
+    return config.model_copy(update={k: v for k, v in values.items() if v is not None})
 
 
 def run_new(
@@ -218,60 +232,6 @@ def run_new(
             remarks=remarks,
         )
     _show(result, as_json=as_json)
-
-
-def _run_many(
-    sequences: list[Path],
-    config: Config,
-    out: Path,
-    *,
-    n_jobs: int | None,
-    scheduler: str | None,
-    frames: str | None,
-    quiet: bool,
-    as_json: bool,
-    **options: Any,
-) -> None:
-    """Run sequences in folders of their own and print a table of all; exit with 1 if one failed."""
-    from slam_bof.cli.console import Bar, print_json, print_table
-    from slam_bof.core import on_cluster
-    from slam_bof.run import run_sequences
-
-    open_ = partial(open_sequence, choice=config.dataset, frames=frames, quiet=True)
-    done = []
-    with (
-        nullcontext() if scheduler is None else on_cluster(scheduler),
-        Bar("Running sequences", quiet=quiet) as bar,
-    ):
-        found = run_sequences(
-            sequences, open_, config, out, n_jobs=n_jobs, frames=frames, **options
-        )
-        for one in found:
-            done.append(one)
-            bar.show(len(done), len(sequences))
-    if as_json:
-        print_json(
-            [
-                {"sequence_path": str(one.sequence), "error": one.error}
-                if one.result is None
-                else {"folder": str(one.result.folder), **one.result.metrics}
-                for one in done
-            ]
-        )
-    else:
-        keys = ("ate_odometry_m", "ate_m", "n_loops", "n_keyframes", "n_components", "fps")
-        rows = [
-            (one.sequence, *map(one.result.metrics.get, keys), one.result.folder)
-            for one in done
-            if one.result is not None
-        ]
-        print_table(("sequence", *keys, "folder"), rows)
-    failed = [one for one in done if one.result is None]
-    for one in failed:
-        typer.echo(f"error: {one.error}", err=True)
-    if failed:
-        typer.echo(f"{len(failed)} of {len(done)} sequences failed", err=True)
-        raise typer.Exit(1)
 
 
 def _resume(

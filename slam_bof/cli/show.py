@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam_bof.cli.inputs import open_sequence, read_image
-from slam_bof.cli.options import DEPTH_SCALE, INTRINSICS, QUIET
+from slam_bof.cli.options import DATASET, DEPTH_SCALE, INTRINSICS, QUIET, SOURCE
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -19,10 +19,7 @@ __all__ = ["show"]
 
 
 def show(
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="SEQUENCE|IMAGE", help="A sequence, or a depth image (PNG, NPY)."),
-    ],
+    source: SOURCE,
     out: Annotated[Path, typer.Option("--out", "-o", help="The SVG file to write.")],
     frame: Annotated[int, typer.Option(min=0, help="Number of the frame of a SEQUENCE.")] = 0,
     match: Annotated[
@@ -34,9 +31,7 @@ def show(
         ),
     ] = None,
     layers: Annotated[int, typer.Option(min=1, max=60, help="Layers of the point cloud.")] = 20,
-    dataset: Annotated[
-        str, typer.Option(help="Layout of a SEQUENCE; by default it is recognised.")
-    ] = "auto",
+    dataset: DATASET = "auto",
     intrinsics: INTRINSICS = None,
     depth_scale: DEPTH_SCALE = None,
     quiet: QUIET = False,

@@ -13,6 +13,7 @@ from slam_bof.cli.options import CAMERA, COPIES, EVERY, JSON, N_WORDS, QUIET, SE
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
+    from slam_bof.bof import PlaceParams
     from slam_bof.evaluation import TrainedSceneModel
 
 __all__ = ["train"]
@@ -118,19 +119,8 @@ def train(
     The accuracy printed is that of a model trained in the same way on a part of the frames and
     tested on the others.
     """
-    if descriptor not in (None, "levelled", "bof"):
-        raise ConfigError(
-            f"--descriptor: found {descriptor!r}, expected levelled or bof, which a model file can "
-            "hold; evaluate scenes --methods compares others, such as bof-layers:mlp"
-        )
     of_bags = grid_search or classifier is not None
-    if descriptor == "levelled" and of_bags:
-        given = "--grid-search" if grid_search else "--classifier"
-        raise ConfigError(f"--descriptor levelled: found with {given}, expected bof")
-    if grid_search and classifier is not None:
-        raise ConfigError(
-            f"--grid-search: found with --classifier {classifier}, expected one of the two"
-        )
+    _check_descriptor(descriptor, classifier, grid_search=grid_search)
     if unlabelled and (label or csv is not None or of_bags or descriptor == "levelled"):
         raise ConfigError("--unlabelled: found with options for labels, expected it alone")
     if not label and csv is None and not unlabelled:
@@ -150,25 +140,22 @@ def train(
         frames_of,
         has_groups,
         open_labelled,
-        open_sequences,
         parse_label,
         read_image_table,
         read_label_file,
     )
-    from slam_bof.evaluation import TrainedSceneModel, train_scene_model, train_words
+    from slam_bof.evaluation import train_scene_model
     from slam_bof.scenes import model as models
 
     _check_out(out)
     n_layers = LayerParams().n_layers if layers is None else layers
     params = PlaceParams(layers=LayerParams(n_layers=n_layers, rounding=rounding))
     if unlabelled:
-        datasets = [dataset for path in unlabelled for dataset in open_sequences(path)]
-        with Bars(quiet=quiet) as bars:
-            model = train_words(
-                datasets, params, n_words=n_words, every=every, seed=seed, on_progress=bars.show
-            )
-        models.save(model, out)
-        _show(TrainedSceneModel(model), out, as_json=as_json)
+        trained = _train_words(
+            unlabelled, params, n_words=n_words, every=every, seed=seed, quiet=quiet
+        )
+        models.save(trained.model, out)
+        _show(trained, out, as_json=as_json)
         return
     sequences = [sequence for text in label or [] for sequence in open_labelled(*parse_label(text))]
     images = []
@@ -196,6 +183,40 @@ def train(
     models.save(trained.model, out)
     files = _write_page(trained, out, page) if page is not None else []
     _show(trained, out, as_json=as_json, files=files)
+
+
+def _check_descriptor(
+    descriptor: str | None, classifier: Classifier | None, *, grid_search: bool
+) -> None:
+    """Refuse a descriptor that no model file holds, or that the classifier does not take."""
+    if descriptor not in (None, "levelled", "bof"):
+        raise ConfigError(
+            f"--descriptor: found {descriptor!r}, expected levelled or bof, which a model file can "
+            "hold; evaluate scenes --methods compares others, such as bof-layers:mlp"
+        )
+    if descriptor == "levelled" and (grid_search or classifier is not None):
+        given = "--grid-search" if grid_search else "--classifier"
+        raise ConfigError(f"--descriptor levelled: found with {given}, expected bof")
+    if grid_search and classifier is not None:
+        raise ConfigError(
+            f"--grid-search: found with --classifier {classifier}, expected one of the two"
+        )
+
+
+def _train_words(
+    paths: list[Path], params: PlaceParams, *, n_words: int, every: int, seed: int, quiet: bool
+) -> TrainedSceneModel:
+    """Learn the words of sequences without labels."""
+    from slam_bof.cli.console import Bars
+    from slam_bof.datasets import open_sequences
+    from slam_bof.evaluation import TrainedSceneModel, train_words
+
+    datasets = [dataset for path in paths for dataset in open_sequences(path)]
+    with Bars(quiet=quiet) as bars:
+        model = train_words(
+            datasets, params, n_words=n_words, every=every, seed=seed, on_progress=bars.show
+        )
+    return TrainedSceneModel(model)
 
 
 def _write_page(trained: TrainedSceneModel, out: Path, folder: Path) -> list[Path]:

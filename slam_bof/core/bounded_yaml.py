@@ -1,4 +1,4 @@
-"""YAML from anywhere, within bounds: a few lines may stand for gigabytes."""
+"""YAML of unknown origin, within bounds: a few lines may expand to gigabytes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Images from anywhere: no memory is reserved that their bytes cannot fill."""
+"""Images of unknown origin: their sizes are checked before memory is reserved."""
 
 from __future__ import annotations
 

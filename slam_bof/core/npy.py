@@ -1,4 +1,4 @@
-"""Arrays in .npy format from anywhere: nothing is allocated before the header is believed."""
+"""Arrays in .npy format of unknown origin: the header is checked before memory is reserved."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ from slam_bof.types import Array, DepthFrame, Pose, Trajectory
 __all__ = ["Calibration", "FrameMotion", "calibrate", "measure_motions"]
 
 BASELINES = ((0.1, 0.15), (0.4, 0.5))
-"""Motions are measured over about this turn in rad or shift in m: short ones tell the clock, long
-ones the scale."""
+"""Motions are measured over about this turn in rad or shift in m. Short ones determine the time
+offset, long ones the scale."""
 MAX_GAP_S = 0.15
-"""Between poses of odometry farther apart than this the clock cannot be told."""
+"""Poses of odometry farther apart than this do not determine the time offset."""
 MIN_AGREEMENT = 0.6
 """Smallest share of inliers among the points that can be compared, at which an alignment counts."""
 MIN_VISIBLE_RATIO = 0.3
@@ -47,10 +47,10 @@ class FrameMotion(NamedTuple):
 
 
 class Calibration(NamedTuple):
-    """What odometry and depth differ by; each with its standard deviation.
+    """The differences between odometry and depth, each with its standard deviation.
 
     ``time_offset_s`` is added to the stamps of depth images to get odometry's clock; its standard
-    deviation is infinite where the poses of odometry are too far apart to tell.
+    deviation is infinite if the poses of odometry are too far apart to measure it.
     ``depth_scale`` multiplies depth to get odometry's unit of length. ``tilt_rad`` (3,) is the
     rotation vector that takes odometry's axes to those of the depth camera.
     """
@@ -116,7 +116,7 @@ class _MotionChain:
 
 
 def calibrate(motions: list[FrameMotion], odometry: Trajectory) -> Calibration | None:
-    """Estimate by what depth and odometry differ; None if there is too little motion.
+    """Estimate the differences between depth and odometry; None if there is too little motion.
 
     Robust least squares over clock, scale and axes at once, from several starts.
     """
@@ -126,34 +126,16 @@ def calibrate(motions: list[FrameMotion], odometry: Trajectory) -> Calibration |
         return None
     early, late = odometry.stamps_s[[0, -1]] + [MAX_OFFSET_S, -MAX_OFFSET_S]
     motions = [m for m in motions if early <= m.stamp_a_s and m.stamp_b_s <= late]
-    is_held = np.array([m.is_held for m in motions], np.bool_)
-    if len(motions) < MIN_MOTIONS or is_held.sum() < MIN_MOTIONS:
+    if len(motions) < MIN_MOTIONS or sum(m.is_held for m in motions) < MIN_MOTIONS:
         return None
-    stamps_s = np.array([[m.stamp_a_s, m.stamp_b_s] for m in motions])
-    aligned = np.array([m.T_a_b for m in motions])
-    turns, shifts = Rotation.from_matrix(aligned[:, :3, :3]).as_rotvec(), aligned[:, :3, 3]
-    rotation = Slerp(odometry.stamps_s, Rotation.from_matrix(odometry.poses[:, :3, :3]))
-
-    def differences(x: Array) -> tuple[Array, Array]:
-        """Return what is left of turns (M, 3) and shifts (M', 3) with tilt, offset and scale."""
-        T_a, T_b = (_poses_at(odometry, rotation, stamps + x[3]) for stamps in stamps_s.T)
-        motion, tilt = se3.inverse(T_a) @ T_b, Rotation.from_rotvec(x[:3])
-        turned = tilt.apply(Rotation.from_matrix(motion[:, :3, :3]).as_rotvec())
-        shifted = tilt.apply(motion[:, :3, 3])
-        # Noise is in the alignment, which would make the scale too small as its factor.
-        return turns - turned, (shifts - np.exp(-x[4]) * shifted)[is_held]
-
-    def residuals(x: Array, sigmas: list[float]) -> Array:
-        pairs = zip(differences(x), sigmas, strict=True)
-        return np.concatenate([(off / sigma).ravel() for off, sigma in pairs])
-
+    compared = _ComparedMotions(motions, odometry)
     has_clock = np.median(np.diff(odometry.stamps_s)) <= MAX_GAP_S
     max_offset_s = MAX_OFFSET_S if has_clock else 1e-9
-    sigmas = [_spread(off) for off in differences(np.zeros(5))]
+    sigmas = [_spread(off) for off in compared.differences(np.zeros(5))]
     for _ in range(2):
         fits = [
             least_squares(
-                residuals,
+                compared.residuals,
                 np.array([0.0, 0.0, 0.0, start_s, 0.0]),
                 args=(sigmas,),
                 loss="soft_l1",
@@ -163,7 +145,7 @@ def calibrate(motions: list[FrameMotion], odometry: Trajectory) -> Calibration |
             for start_s in (STARTS_S if has_clock else (0.0,))
         ]
         best = min(fits, key=lambda fit: float(fit.cost))
-        sigmas = [_spread(off) for off in differences(best.x)]
+        sigmas = [_spread(off) for off in compared.differences(best.x)]
     sigma = np.sqrt(np.diag(np.linalg.pinv(best.jac.T @ best.jac)))
     scale = float(np.exp(best.x[4]))
     return Calibration(
@@ -175,6 +157,39 @@ def calibrate(motions: list[FrameMotion], odometry: Trajectory) -> Calibration |
         tilt_sigma_rad=sigma[:3],
         n_motions=len(motions),
     )
+
+
+class _ComparedMotions:
+    """Motions by alignment beside those of odometry.
+
+    The differences depend on x (5,): the tilt as a rotation vector, the offset of the clock in s,
+    and the logarithm of the scale.
+    """
+
+    def __init__(self, motions: list[FrameMotion], odometry: Trajectory) -> None:
+        aligned = np.array([m.T_a_b for m in motions])
+        self._turns = Rotation.from_matrix(aligned[:, :3, :3]).as_rotvec()
+        self._shifts = aligned[:, :3, 3]
+        self._is_held = np.array([m.is_held for m in motions], np.bool_)
+        self._stamps_s = np.array([[m.stamp_a_s, m.stamp_b_s] for m in motions])
+        self._odometry = odometry
+        self._rotation = Slerp(odometry.stamps_s, Rotation.from_matrix(odometry.poses[:, :3, :3]))
+
+    def differences(self, x: Array) -> tuple[Array, Array]:
+        """Return the differences of turns (M, 3) and, where all directions are held, of shifts."""
+        T_a, T_b = (
+            _poses_at(self._odometry, self._rotation, stamps + x[3]) for stamps in self._stamps_s.T
+        )
+        motion, tilt = se3.inverse(T_a) @ T_b, Rotation.from_rotvec(x[:3])
+        turned = tilt.apply(Rotation.from_matrix(motion[:, :3, :3]).as_rotvec())
+        shifted = tilt.apply(motion[:, :3, 3])
+        # Noise is in the alignment, which would make the scale too small as its factor.
+        return self._turns - turned, (self._shifts - np.exp(-x[4]) * shifted)[self._is_held]
+
+    def residuals(self, x: Array, sigmas: list[float]) -> Array:
+        """Return all differences, each divided by its standard deviation."""
+        pairs = zip(self.differences(x), sigmas, strict=True)
+        return np.concatenate([(off / sigma).ravel() for off, sigma in pairs])
 
 
 def _poses_at(odometry: Trajectory, rotation: Slerp, stamps_s: Array) -> Array:

@@ -74,7 +74,7 @@ class PlaceQueries:
 
     They are those of every n-th frame whose true pose is known.
 
-    ``indices`` (K,) are their frames, ``allowed`` (K, K) tells which answers (columns) may be given
+    ``indices`` (K,) are their frames, ``allowed`` (K, K) says which answers (columns) may be given
     to which queries (rows), and ``relevant`` has a (K, K) array for each truth, ``pose`` and
     ``overlap``.
     """
@@ -96,7 +96,7 @@ class PlaceQueries:
         name, groundtruth = dataset.sequence, dataset.groundtruth()
         chosen = np.arange(0, len(dataset), params.every)
         if groundtruth is None:
-            raise DatasetError(f"{name}: found no ground truth, expected poses to judge by")
+            raise DatasetError(f"{name}: found no ground truth, expected true poses")
         known = np.isfinite(groundtruth.poses[chosen]).all(axis=(1, 2))
         if not known.any():
             raise DatasetError(f"{name}: found no frame with a true pose, expected some")

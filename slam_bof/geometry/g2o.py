@@ -41,9 +41,9 @@ class GraphEdge(NamedTuple):
 def loop_information(information: Array, sigma: float) -> Array:
     """Return the information (6, 6) that a loop has in the graph.
 
-    That measured by registration tells which directions are held better than others, but its
-    scale counts points whose errors are not independent. It is scaled so that the mean over the
-    six axes is that of a standard deviation ``sigma``, in rad and m.
+    The information of a registration has the right proportions between directions, but not the
+    right scale, because the errors of points are not independent. It is scaled so that the mean
+    over the six axes is that of a standard deviation ``sigma``, in rad and m.
     """
     return np.asarray(information / np.trace(information) * 6.0 / sigma**2)
 

@@ -1,10 +1,9 @@
 """Align one view with many at once, and measure how far they agree.
 
-A pose is good where the points of either view, seen from the other, lie at the depth that the
-other has there: *seen* by it. Points that would stand in front of what it sees contradict:
-*blocking*. First a random search about starting poses, scored by few points; then point-to-plane
-ICP with projective association (Blais and Levine 1995), all pairs in one batch, by few points
-until they are close.
+At a good pose the points of either view lie at the depth that the other view has there: they are
+inliers. Points in front of what the other view sees violate its free space. A random search about
+starting poses, scored by few points, is followed by point-to-plane ICP with projective association
+(Blais and Levine 1995). All pairs are in one batch, with few points until they are close.
 """
 
 from __future__ import annotations
@@ -15,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.spatial.transform import Rotation
 
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView
+from slam_bof.geometry.icp_step import associate, small_motions, solve_step
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
     Agreement,
@@ -34,24 +33,15 @@ from slam_bof.types import Array, Params
 __all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
 
 ORBIT_M = 2.0
-"""Half the random motions turn about a point so far ahead, at which the camera keeps looking."""
-MIN_COSINE = 0.6
-"""Between the normals of points that match."""
-MIN_SPREAD = np.float32(0.02)
-"""Mean square of normals along a direction, below which it is their noise."""
-MAX_LEVERAGE = np.float32(10.0)
-"""A point whose normal is rare counts at most so many times as much as others."""
-MIN_INFORMATION = np.float32(0.003)
-"""Steps along directions with a smaller share of the information are shortened."""
-MIN_PAIRS = 12
-"""With fewer pairs a view is not moved."""
+"""Half of the random motions turn about a point this far ahead, so that it stays in view."""
 N_COARSE_POINTS = 400
+"""Number of points of a view that ``coarse_score`` uses."""
 CHUNK = 2**15
-"""Points computed at a time, that they stay in the cache."""
+"""Number of points computed at a time, so that they stay in the cache."""
 
 
 class AlignmentParams(Params):
-    """How hard a pose is searched for, and what counts as seeing the same."""
+    """How hard a pose is searched for, and which points count as inliers."""
 
     n_points: int = Field(
         400,
@@ -132,21 +122,6 @@ class SurfacePairs(NamedTuple):
     """(M,) from the point to the surface, along the normal."""
 
 
-class _Association(NamedTuple):
-    """For n matches and m points, in the matches' frames; one coordinate after the other."""
-
-    points: Floats
-    """(n, 3, m)."""
-    normals_query: Floats
-    """(n, 3, m), of the query's surface."""
-    normals_match: Floats
-    """(n, 3, m), of the matches' surfaces."""
-    residuals_m: Floats
-    """(n, m), along the normals of the matches' surfaces."""
-    matched: NDArray[np.bool_]
-    """(n, m)."""
-
-
 class ViewAligner:
     """Holds views of one camera, and aligns one of them with others."""
 
@@ -210,9 +185,16 @@ class ViewAligner:
             left = np.flatnonzero(moving)
             for some in _chunks(len(left), n_points):
                 pairs = left[some]
-                found = self._associate(query, matches[pairs], T[pairs], gate_m, n_points)
-                steps = _step(found, gate_m)
-                T[pairs] = _exp(steps) @ T[pairs]
+                found = associate(
+                    self._views,
+                    query,
+                    matches[pairs],
+                    T[pairs],
+                    gate_m=gate_m,
+                    n_points=n_points,
+                )
+                steps = solve_step(found, gate_m)
+                T[pairs] = small_motions(steps) @ T[pairs]
                 moving[pairs] = np.abs(steps).max(axis=1) > p.min_step
         return T.astype(np.float64)
 
@@ -225,7 +207,9 @@ class ViewAligner:
         """
         gate_m = np.float32(self.params.gates_m[-1])
         T = T_match_query.astype(np.float32)
-        found = self._associate(query, matches, T, gate_m, self.params.n_points)
+        found = associate(
+            self._views, query, matches, T, gate_m=gate_m, n_points=self.params.n_points
+        )
         points, facing = (a.astype(np.float64) for a in self._views.surface(query))
         pairs = []
         for k, matched in enumerate(found.matched):
@@ -237,7 +221,7 @@ class ViewAligner:
     def inlier_ratio(
         self, query: int, matches: Indices, T_match_query: Array
     ) -> tuple[Floats, Floats]:
-        """Return the shares (n,) of the query's points that each match sees, and that block it."""
+        """Return the shares (n,) of the query's points that are inliers or violate free space."""
         points = self._views.sampled(query)
         T = T_match_query.astype(np.float32)
         visibility = classify_points(self._views, points, matches, T, self.params.tolerance)
@@ -277,7 +261,7 @@ class ViewAligner:
         return starts[:, 0]
 
     def _score(self, points: Floats, matches: Indices, poses: Floats, tolerance: Floats) -> Floats:
-        """Score poses (n, P, 4, 4): points at the depth that is there count, blocking ones cost."""
+        """Score poses (n, P, 4, 4): inliers count, violations of free space cost half as much."""
         n, n_poses = poses.shape[:2]
         projected = self._views.project_points(points, poses.reshape(-1, 4, 4))
         there, _ = self._views.depth_at(np.repeat(matches, n_poses), projected)
@@ -294,25 +278,6 @@ class ViewAligner:
         worth -= np.float32(0.5) * free_space_violation
         worth *= known
         return np.asarray(worth.mean(axis=1).reshape(n, n_poses))
-
-    def _associate(
-        self, query: int, matches: Indices, T: Floats, gate_m: np.float32, n_points: int
-    ) -> _Association:
-        """Pair the query's surface points with what the others see at the pixels they fall on."""
-        points, facing = self._views.surface(query, n_points)
-        projected = self._views.project_points(points, T)
-        gap, normals = self._views.surface_at(matches, projected)
-        moved = _rotate(T, points)
-        moved += T[:, :3, 3:]
-        gap -= moved
-        residuals_m = _dot(gap, normals)
-        turned = _rotate(T, facing)
-        # Where nothing is known the normal is zero, and so is the cosine.
-        matched = _dot(normals, turned) > MIN_COSINE
-        matched &= projected.inside
-        matched &= _dot(gap, gap) < 4.0 * gate_m**2
-        matched &= np.abs(residuals_m) < gate_m
-        return _Association(moved, turned, normals, residuals_m, matched)
 
 
 def _chunks(n: int, n_each: int) -> Iterator[slice]:
@@ -339,87 +304,3 @@ def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
         T[orbiting, :3, 3] += centre - T[orbiting, :3, :3] @ centre
         rounds.append(T.astype(np.float32))
     return rounds
-
-
-def _rotate(T: Floats, vectors: Floats) -> Floats:
-    """Return vectors (m, 3) turned by each of (n, 4, 4), coordinate by coordinate: (n, 3, m)."""
-    turns = np.ascontiguousarray(T[:, :3, :3]).reshape(-1, 3)
-    return np.asarray(turns @ vectors.T).reshape(len(T), 3, -1)
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    """Return the dot products (n, m) of vectors (n, 3, m)."""
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
-
-
-def _step(found: _Association, gate_m: np.float32) -> Floats:
-    """Return the small motions (n, 6), rotation first, of weighted least squares.
-
-    Residuals and their derivatives are along the match's normals, but the equations are weighted
-    by the query's normals, whose noise is independent (instrumental variables). With the match's
-    normals alone, each point would be drawn to the centre of the pixel that it falls on, and the
-    noise of normals would count as information. Views do not move along directions that the
-    surfaces leave open.
-    """
-    points, normals_query, normals_match, residuals_m, matched = found
-    n, _, m = points.shape
-    # Geman-McClure, and less for what is far, whose depth is less sure.
-    weight = residuals_m * (np.float32(2.0) / gate_m)
-    weight *= weight
-    weight += np.float32(1.0)
-    weight *= weight
-    weight *= np.float32(0.2) + np.float32(0.2) * np.square(points[:, 2])
-    np.divide(matched, weight, out=weight)
-    weight *= _leverage(normals_query, matched)
-    total = np.maximum(weight.sum(axis=1), np.float32(1e-6))
-    weight /= total[:, None]
-    centre = (points @ weight[:, :, None])[..., 0]
-    offsets = points - centre[..., None]
-    radius_m = np.sqrt(np.maximum((_dot(offsets, offsets) * weight).sum(axis=1), np.float32(1e-4)))
-    offsets /= radius_m[:, None, None]
-    rows = np.empty((n, 7, m), np.float32)
-    rows[:, :3] = _cross(offsets, normals_match)
-    rows[:, 3:6] = normals_match
-    rows[:, 6] = residuals_m
-    instruments = np.concatenate([_cross(offsets, normals_query), normals_query], axis=1)
-    instruments *= weight[:, None]
-    products = instruments @ rows.transpose(0, 2, 1)
-    cross = products[..., :6]
-    values, vectors = np.linalg.eigh(0.5 * (cross + cross.transpose(0, 2, 1)))
-    gains = np.maximum(values, 0.0) / (np.square(values) + MIN_INFORMATION**2)
-    along = vectors.transpose(0, 2, 1) @ products[..., 6:]
-    scaled = (vectors @ (gains[..., None] * along))[..., 0]
-    scaled *= (matched.sum(axis=1) >= MIN_PAIRS)[:, None]
-    turns = scaled[:, :3] / radius_m[:, None]
-    shifts = scaled[:, 3:] + _cross(centre[..., None], turns[..., None])[..., 0]
-    return np.concatenate([turns, shifts], axis=1)
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross products (n, 3, m) of vectors (n, 3, m)."""
-    x, y, z = a.transpose(1, 0, 2)
-    u, v, w = b.transpose(1, 0, 2)
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
-
-
-def _leverage(normals: Floats, matched: NDArray[np.bool_]) -> Floats:
-    """Weigh points (n, m) by how rare their normals (n, 3, m) are: n' N^-1 n, N their mean square.
-
-    The many points on a floor then do not outweigh the few that hold a view sideways. This is the
-    normal-space sampling of Rusinkiewicz and Levoy (2001), by weights.
-    """
-    kept = normals * matched[:, None]
-    count = np.maximum(matched.sum(axis=1), 1)[:, None, None].astype(np.float32)
-    spread = kept @ kept.transpose(0, 2, 1) / count
-    spread = spread + MIN_SPREAD * np.eye(3, dtype=np.float32)
-    leverage = _dot(normals, np.linalg.inv(spread) @ normals)
-    return np.asarray(np.minimum(leverage * np.float32(1.0 / 3.0), MAX_LEVERAGE))
-
-
-def _exp(tangent: Floats) -> Floats:
-    """Return small motions as (n, 4, 4): their rotation exactly, the translation as it is."""
-    T = np.zeros((len(tangent), 4, 4), np.float32)
-    T[:, :3, :3] = Rotation.from_rotvec(tangent[:, :3]).as_matrix()
-    T[:, :3, 3] = tangent[:, 3:]
-    T[:, 3, 3] = 1.0
-    return T

@@ -1,4 +1,4 @@
-"""Whether two aligned views show the same surfaces, and how firmly these hold the pose."""
+"""Whether two aligned views show the same surfaces, and how well these determine the pose."""
 
 from __future__ import annotations
 
@@ -48,12 +48,12 @@ def assess_registration(
     guessed: bool,
     reason_against: str = "",
 ) -> Verification:
-    """Judge an alignment by the points that it brings onto the match's surfaces.
+    """Accept or reject an alignment by the points that it brings onto the match's surfaces.
 
     Parameters
     ----------
     params
-        What is asked of it.
+        What it needs.
     T_match_query
         (4, 4) the alignment.
     points_query, normals_query
@@ -62,11 +62,11 @@ def assess_registration(
     residuals_m
         (M,) from point to surface, along the normal.
     overlap
-        Share of the query's points that the match sees too.
+        Share of the query's points that are inliers in the match.
     guessed
-        Whether the alignment started from a guess; else more overlap is asked.
-    objection
-        What else there is against it, in words.
+        Whether the alignment started from a guess; otherwise it needs more overlap.
+    reason_against
+        Another reason to reject it; empty if there is none.
     """
     if len(residuals_m) == 0:
         return reject("no correspondences", T_match_query, overlap=overlap)

@@ -1,8 +1,8 @@
 """How far one view agrees with others at given poses: what both see, and what contradicts.
 
-Points of either view, seen from the other, lie at the depth that the other has there (*seen*), or
-would stand in front of what it sees (*blocking*), which cannot be. Points behind what it sees
-are hidden, and say nothing.
+Points of either view, projected into the other, lie at the depth that the other has there (inliers)
+or in front of what it sees, which violates its free space. Points behind what it sees are hidden,
+and say nothing.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ class Agreement(NamedTuple):
     """How far a view agrees with others, each (n,)."""
 
     inlier_ratio: Floats
-    """Share of a view's points that the other sees too; the smaller of both ways."""
+    """Share of a view's points that are inliers in the other; the smaller of both ways."""
     free_space_violation: Floats
-    """Share of its points that would block what the other sees; both ways added."""
+    """Share of its points in front of what the other sees; both ways added."""
     visible_ratio: Floats
     """Share of its points that fall where the other has a depth at all; the smaller."""
 
@@ -50,7 +50,7 @@ class Coverage(NamedTuple):
     visible_ratio: float
     """Share of its points that fall where any of the others has a depth."""
     inlier_ratio: float
-    """Of these, the share that any of the others sees too."""
+    """Of these, the share that are inliers in any of the others."""
     free_space_violation: float
     """Of these, the share that stands in front of what more of the others see than see it."""
     free_space_violation_reverse: float
@@ -68,7 +68,7 @@ class AgreementScore(NamedTuple):
 
 
 class PointVisibility(NamedTuple):
-    """What others tell of points, each (n, m) bool."""
+    """How points (m,) appear in other views (n,), each (n, m) bool."""
 
     inlier: NDArray[np.bool_]
     violating: NDArray[np.bool_]
@@ -79,9 +79,9 @@ class PointVisibility(NamedTuple):
 def classify_points(
     views: ViewStack, points: Floats, frames: Indices, T: Floats, tolerance: tuple[float, float]
 ) -> PointVisibility:
-    """Tell of points (m, 3), or (n, m, 3), what the frames (n,) see of them at poses (n, 4, 4).
+    """Compare points (m, 3), or (n, m, 3), at poses (n, 4, 4) with the depth of frames (n,).
 
-    ``tolerance`` is of depth: metres, and a share of it.
+    ``tolerance`` is that of depth, in m and as a share of depth.
     """
     projected = views.project_points(points, T)
     there, _ = views.depth_at(frames, projected)
@@ -177,7 +177,7 @@ def _both_ways(
     tolerance: tuple[float, float],
     points: tuple[Floats, Floats],
 ) -> tuple[PointVisibility, PointVisibility]:
-    """Return what the matches tell of the query's points, and what it tells of theirs."""
+    """Compare the query's points with the matches, and the matches' points with the query."""
     own, theirs = points
     T = T_match_query.astype(np.float32)
     back = se3.inverse(T_match_query).astype(np.float32)

@@ -83,7 +83,7 @@ class BagRanking:
                     normaliser=normaliser,
                     eta=eta,
                 )
-                found.candidates.append(self._judge(candidate))
+                found.candidates.append(self._check_thresholds(candidate))
         self.remember(keyframe, frame)
         return found
 
@@ -109,7 +109,7 @@ class BagRanking:
     def restore(self, state: Any) -> None:
         """Do nothing, as there is no other state."""
 
-    def _judge(self, candidate: Candidate) -> Candidate:
+    def _check_thresholds(self, candidate: Candidate) -> Candidate:
         p = self._params
         if candidate.normaliser < p.min_normaliser:
             reason = f"normaliser {candidate.normaliser:.3f} below {p.min_normaliser:g}: not judged"

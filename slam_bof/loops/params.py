@@ -13,7 +13,7 @@ __all__ = ["LoopParams"]
 
 
 class LoopParams(Params):
-    """The parameters of Table 10, and what the product adds to them."""
+    """Parameters of the paper (Table 10), and those that this package adds."""
 
     by: Literal["views", "bags"] = Field(
         "views",
@@ -40,13 +40,14 @@ class LoopParams(Params):
     min_normaliser: float = Field(
         0.05,
         ge=0,
-        description="With bags: a keyframe whose normalising score is below this is not judged.",
+        description="With bags: candidates of a keyframe whose normalising score is below this are "
+        "rejected.",
     )
     min_inlier_ratio: float = Field(
         0.4,
         ge=0,
         le=1,
-        description="With views: smallest share of points that both views must see.",
+        description="With views: smallest inlier ratio, the share of points that both views see.",
     )
     recogniser: RecogniserParams = RecogniserParams()
     revisit_distance_m: float = Field(

@@ -33,11 +33,11 @@ __all__ = ["LoopVerification", "VerificationParams", "Verified"]
 
 
 class VerificationParams(Params):
-    """What a loop needs beyond the verifier's word.
+    """What a loop needs in addition to a good alignment.
 
-    A wrong loop bends the whole map, a wrong edge to a neighbour only a little, so loops are
-    held to more. Layers along the optical axis change with the viewpoint, so where two bags are
-    alike the views are too.
+    A wrong loop bends the whole map, a wrong edge to a neighbour only a little, so a loop needs
+    more. Layers along the optical axis change with the viewpoint, so two views with similar bags
+    must be close to each other.
     """
 
     min_overlap: float = Field(
@@ -98,7 +98,7 @@ class Verified(NamedTuple):
 
 
 class LoopVerification:
-    """Keeps the keyframes' clouds and verifies candidates between them.
+    """Keeps the keyframes as the verifier has prepared them, and verifies candidates.
 
     Attributes
     ----------
@@ -139,78 +139,98 @@ class LoopVerification:
         loops = [*self._gate.waiting, *self._join_gate.waiting]
         return {id_ for loop in loops for id_ in (loop.query_id, loop.match_id)}
 
-    def verify(
+    def align(
         self,
         candidates: Sequence[Candidate],
+        T_map_camera: Array,
+        guesses: Mapping[int, Pose] = MappingProxyType({}),
+    ) -> list[Verification | None]:
+        """Align the newest keyframe with each candidate; None for those rejected already.
+
+        It starts from the guess, or else from the poses that the map has for the two. Candidates of
+        bags for which that fails are registered without an initial pose, which costs ten times as
+        much; see ``global_registration``.
+
+        Parameters
+        ----------
+        candidates
+            The candidates of the newest keyframe.
+        T_map_camera
+            (K, 4, 4) poses of all keyframes in the map so far.
+        guesses
+            ``T_match_query`` that recognition has found, by ``match_id``.
+        """
+        chosen = [k for k, c in enumerate(candidates) if c.decision != Decision.REJECTED]
+        if not chosen:
+            return [None] * len(candidates)
+        query_id = candidates[0].query_id
+        match_ids = [candidate.match_id for candidate in candidates]
+        T_match_query = se3.inverse(T_map_camera[match_ids]) @ T_map_camera[query_id]
+        for k, match_id in enumerate(match_ids):
+            T_match_query[k] = guesses.get(match_id, T_match_query[k])
+        query = self._prepared[query_id]
+        matches = [self._prepared[match_id] for match_id in match_ids]
+        guessed = [k for k in chosen if not self._is_unguessed(candidates[k])]
+        found = self._verifier.verify(
+            query, [matches[k] for k in guessed], T_match_query=T_match_query[guessed]
+        )
+        verified = dict(zip(guessed, found, strict=True))
+        unguessed = [
+            k
+            for k in chosen
+            if candidates[k].source == CandidateSource.BAG
+            and not (k in verified and verified[k].accepted)
+        ]
+        found = self._verifier.verify(query, [matches[k] for k in unguessed], seed=self._seed)
+        self.n_global_registrations += len(unguessed)
+        verified |= zip(unguessed, found, strict=True)
+        return [verified.get(k) for k in range(len(candidates))]
+
+    def decide(
+        self,
+        candidates: Sequence[Candidate],
+        aligned: Sequence[Verification | None],
         T_map_camera: Array,
         *,
         path_m: Array | None = None,
         components: NDArray[np.integer[Any]] | None = None,
-        guesses: Mapping[int, Pose] = MappingProxyType({}),
     ) -> Verified:
-        """Judge the candidates of the newest keyframe that are still open.
+        """Accept or reject the candidates of the newest keyframe that are still open.
 
-        Those accepted already are aligned for their pose; the verdict does not veto them, but
-        where so few points meet that the pose stays open there is no edge.
+        Candidates that recognition has accepted are aligned only to measure their pose. They are
+        rejected only if too few points meet to determine it.
 
-        ``T_map_camera`` (K, 4, 4) are the poses of all keyframes in the map so far, ``path_m`` (K,)
-        is how far the camera had travelled at each (by default in a straight line from one to the
-        next), and ``components`` (K,) the component of each (by default all are in one); poses of
-        different components cannot be compared. ``guesses`` are the poses ``T_match_query`` that
-        recognition has already found, by ``match_id``.
+        Parameters
+        ----------
+        candidates, aligned
+            The candidates, and the answers of ``align``.
+        T_map_camera
+            (K, 4, 4) poses of all keyframes in the map so far.
+        path_m
+            (K,) distance that the camera had travelled at each; by default that of a straight line
+            from one to the next.
+        components
+            (K,) component of each; by default all are in one. Poses of different components cannot
+            be compared.
         """
         if components is None:
             components = np.zeros(len(T_map_camera), dtype=np.int64)
         if path_m is None:
             steps_m = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
-            # How far components are from each other says nothing of how far the camera went.
+            # The distance between components does not say how far the camera went.
             path_m = np.append(0.0, np.cumsum(steps_m * (np.diff(components) == 0)))
-        judged: list[Candidate] = []
+        decided: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
-        still_open = [c for c in candidates if c.decision != Decision.REJECTED]
-        aligned = iter(self._align(still_open, T_map_camera, guesses))
-        for candidate in candidates:
-            if candidate.decision == Decision.REJECTED:
-                judged.append(candidate)
-                continue
-            verified = next(aligned)
-            if (
-                candidate.source == CandidateSource.PROXIMITY
-                and verified.overlap < self.params.min_overlap
-            ):
-                # Too little to claim a loop, but two views of the same surfaces all the same.
-                candidate = replace(candidate, kind=EdgeKind.COVISIBILITY)
-            if verified.n_open and candidate.kind == EdgeKind.COVISIBILITY:
-                candidate = replace(candidate, kind=EdgeKind.PARTIAL)
-            if candidate.decision == Decision.ACCEPTED:
-                decision, reason = _take(candidate, verified)
-            else:
-                reason = verified.reason or self._reason_against(
-                    candidate, verified, T_map_camera, path_m, components
-                )
-                decision = Decision.REJECTED if reason else Decision.ACCEPTED
-            if decision == Decision.ACCEPTED:
-                loop = Loop(
-                    candidate.query_id,
-                    candidate.match_id,
-                    verified.T_match_query,
-                    verified.information,
-                    candidate.kind,
-                    candidate.source,
-                )
-                (loops if candidate.kind == EdgeKind.LOOP else edges).append(loop)
-            judged.append(
-                replace(
-                    candidate,
-                    overlap=verified.overlap,
-                    rmse_m=verified.rmse_m,
-                    decision=decision,
-                    reason=reason,
-                )
-            )
+        for candidate, verified in zip(candidates, aligned, strict=True):
+            if verified is not None:
+                candidate = self._decide(candidate, verified, T_map_camera, path_m, components)
+                if candidate.decision == Decision.ACCEPTED:
+                    is_loop = candidate.kind == EdgeKind.LOOP
+                    (loops if is_loop else edges).append(_edge(candidate, verified))
+            decided.append(candidate)
         admitted = self.admit(loops, T_map_camera, components)
-        return Verified(_hold(judged, admitted, components), edges + loops, edges + admitted)
+        return Verified(_hold(decided, admitted, components), edges + loops, edges + admitted)
 
     def admit(
         self, loops: Sequence[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
@@ -221,39 +241,6 @@ class LoopVerification:
         admitted = self._gate.admit(within, T_map_camera, components)
         return admitted + self._join_gate.admit(between, T_map_camera, components)
 
-    def _align(
-        self, candidates: Sequence[Candidate], T_map_camera: Array, guesses: Mapping[int, Pose]
-    ) -> list[Verification]:
-        """Align from the guess or else from where the map has the two; like bags, from nothing.
-
-        Where the map is good already, the global search, ten times the cost, is spared, unless
-        it is always asked for.
-        """
-        if not candidates:
-            return []
-        query_id = candidates[0].query_id
-        match_ids = [candidate.match_id for candidate in candidates]
-        T_match_query = se3.inverse(T_map_camera[match_ids]) @ T_map_camera[query_id]
-        for k, match_id in enumerate(match_ids):
-            T_match_query[k] = guesses.get(match_id, T_match_query[k])
-        query = self._prepared[query_id]
-        matches = [self._prepared[match_id] for match_id in match_ids]
-        guessed = [k for k, candidate in enumerate(candidates) if not self._is_unguessed(candidate)]
-        found = self._verifier.verify(
-            query, [matches[k] for k in guessed], T_match_query=T_match_query[guessed]
-        )
-        verified = dict(zip(guessed, found, strict=True))
-        unguessed = [
-            k
-            for k, candidate in enumerate(candidates)
-            if candidate.source == CandidateSource.BAG
-            and not (k in verified and verified[k].accepted)
-        ]
-        found = self._verifier.verify(query, [matches[k] for k in unguessed], seed=self._seed)
-        self.n_global_registrations += len(unguessed)
-        verified |= zip(unguessed, found, strict=True)
-        return [verified[k] for k in range(len(candidates))]
-
     def _is_unguessed(self, candidate: Candidate) -> bool:
         """Return whether a candidate is registered without an initial pose in any case."""
         return (
@@ -261,6 +248,33 @@ class LoopVerification:
             and candidate.source == CandidateSource.BAG
             and candidate.decision == Decision.OPEN
         )
+
+    def _decide(
+        self,
+        candidate: Candidate,
+        verified: Verification,
+        T_map_camera: Array,
+        path_m: Array,
+        components: NDArray[np.integer[Any]],
+    ) -> Candidate:
+        """Return a candidate with its figures, its kind, the decision and the reason for it."""
+        kind = candidate.kind
+        if (
+            candidate.source == CandidateSource.PROXIMITY
+            and verified.overlap < self.params.min_overlap
+        ):
+            kind = EdgeKind.COVISIBILITY  # too little to claim a loop, but both see some surfaces
+        if verified.n_open and kind == EdgeKind.COVISIBILITY:
+            kind = EdgeKind.PARTIAL
+        candidate = replace(candidate, kind=kind, overlap=verified.overlap, rmse_m=verified.rmse_m)
+        if candidate.decision == Decision.ACCEPTED:
+            decision, reason = _recheck(candidate, verified)
+        else:
+            reason = verified.reason or self._reason_against(
+                candidate, verified, T_map_camera, path_m, components
+            )
+            decision = Decision.REJECTED if reason else Decision.ACCEPTED
+        return replace(candidate, decision=decision, reason=reason)
 
     def _reason_against(
         self,
@@ -301,7 +315,19 @@ class LoopVerification:
         return ""
 
 
-def _take(candidate: Candidate, verified: Verification) -> tuple[Decision, str]:
+def _edge(candidate: Candidate, verified: Verification) -> Loop:
+    """Return the edge of the pose graph that an accepted candidate becomes."""
+    return Loop(
+        candidate.query_id,
+        candidate.match_id,
+        verified.T_match_query,
+        verified.information,
+        candidate.kind,
+        candidate.source,
+    )
+
+
+def _recheck(candidate: Candidate, verified: Verification) -> tuple[Decision, str]:
     """Return decision and reason of a candidate that recognition accepted already."""
     information = verified.information
     if verified.n_open and candidate.kind == EdgeKind.LOOP:
@@ -322,7 +348,7 @@ def _size(T: Pose) -> tuple[float, float]:
 
 
 def _hold(
-    judged: list[Candidate], admitted: list[Loop], components: NDArray[np.integer[Any]]
+    decided: list[Candidate], admitted: list[Loop], components: NDArray[np.integer[Any]]
 ) -> list[Candidate]:
     """Mark the loops that were verified but not admitted yet."""
     pairs = {(loop.query_id, loop.match_id) for loop in admitted}
@@ -340,4 +366,4 @@ def _hold(
             reason = "not enough yet to join two components"
         return replace(candidate, decision=Decision.HELD, reason=reason)
 
-    return [hold(candidate) for candidate in judged]
+    return [hold(candidate) for candidate in decided]

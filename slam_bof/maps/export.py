@@ -38,7 +38,7 @@ Format = Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"]
 FORMATS: tuple[Format, ...] = ("tum", "kitti", "csv", "g2o", "ply", "occupancy")
 
 DEFAULT_STEP_SIGMA, DEFAULT_LOOP_SIGMA = 0.05, 0.01
-"""In rad and m, for back-ends that have no such parameters."""
+"""Standard deviations in rad and m, for back-ends that have no such parameters."""
 
 
 def export_map(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
 import logging
@@ -18,11 +17,12 @@ import numpy as np
 
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
+from slam_bof.run.health import read_health
 from slam_bof.run.pictures import picture_pairs
 from slam_bof.run.plan import read_plan
 from slam_bof.slam import of_session
 from slam_bof.store import MapStore
-from slam_bof.visualization import FrameHealth, ReportData
+from slam_bof.visualization import ReportData
 
 __all__ = [
     "as_run_errors",
@@ -104,7 +104,7 @@ def logging_to(path: Path) -> Iterator[None]:
 
 
 def _write(handler: logging.Handler, level: int, message: str) -> None:
-    """Write a line to one log alone: the user is told of the error itself."""
+    """Write a line to one log only, because the error itself is shown to the user."""
     handler.handle(logging.LogRecord(__name__, level, __file__, 0, message, None, None))
 
 
@@ -164,7 +164,7 @@ def read_run(folder: Path) -> ReportData:
             pairs=picture_pairs(
                 store, of_session(store.candidates(), ids), figures.get("session", 0)
             ),
-            health=_read_health(folder / "health.csv"),
+            health=read_health(folder / "health.csv"),
             command=rerun_command(folder, store),
             configuration=_read_if_there(folder / "config.yaml"),
         )
@@ -180,17 +180,6 @@ def rerun_command(folder: Path, store: MapStore) -> str:
     limited = "" if limit is None else f" --max-frames {limit}"
     path = shlex.quote(source["path"])
     return f"slam-bof run {path}{frames}{limited} --config {shlex.quote(str(folder))}/config.yaml"
-
-
-def _read_health(path: Path) -> list[FrameHealth]:
-    """Read health.csv; empty for a run of a version that did not write it."""
-    try:
-        rows = csv.DictReader(_read_if_there(path).splitlines())
-        return [FrameHealth(row["health"], int(row["n_open"])) for row in rows]
-    except (KeyError, TypeError, ValueError, csv.Error) as error:
-        raise RunError(
-            f"{path}: found {str(error)[:80]!r}, expected columns health, n_open"
-        ) from error
 
 
 def _read_if_there(path: Path) -> str:

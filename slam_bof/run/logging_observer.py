@@ -5,8 +5,8 @@ from __future__ import annotations
 import logging
 
 from slam_bof.ports import Observer
+from slam_bof.run.health import HealthLog
 from slam_bof.types import Step
-from slam_bof.visualization import FrameHealth
 
 __all__ = ["LoggingObserver"]
 
@@ -17,8 +17,7 @@ class LoggingObserver:
     """Logs warnings and where odometry is lost and recovered, and informs another observer."""
 
     def __init__(self, observer: Observer, first: int) -> None:
-        self.health: list[FrameHealth] = []
-        """Of every frame so far."""
+        self.health = HealthLog()
         self._first = first
         self._observer = observer
         self._is_lost = False
@@ -26,7 +25,7 @@ class LoggingObserver:
     @property
     def n_frames(self) -> int:
         """Number of frames so far."""
-        return len(self.health)
+        return len(self.health.frames)
 
     def on_start(self, n_frames: int) -> None:
         """Inform the other observer."""
@@ -34,7 +33,7 @@ class LoggingObserver:
 
     def on_step(self, frame_index: int, step: Step) -> None:
         """Log where odometry is lost and recovered, and inform the other observer."""
-        self.health.append(FrameHealth(step.health, step.open_axes.shape[1]))
+        self.health.add(step)
         if step.is_lost != self._is_lost:
             self._is_lost = step.is_lost
             logger.warning(

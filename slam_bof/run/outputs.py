@@ -16,13 +16,14 @@ from slam_bof.core import keep_going
 from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
 from slam_bof.run.folder import rerun_command
+from slam_bof.run.health import write_health
 from slam_bof.run.metrics import Metrics
 from slam_bof.run.pictures import picture_pairs
 from slam_bof.run.plan import read_plan
 from slam_bof.run.record import RunRecord
 from slam_bof.store import MapStore, largest_component
 from slam_bof.types import Candidate, Keyframe, Trajectory
-from slam_bof.visualization import FrameHealth, ReportData, write_report
+from slam_bof.visualization import ReportData, write_report
 
 __all__ = ["write_outputs", "write_trajectory"]
 
@@ -47,7 +48,13 @@ def write_outputs(
     if record.groundtruth is not None:
         write_trajectory(folder, "groundtruth", record.groundtruth)
     components = record.closer.map.components[record.closer.map.first_keyframe :]
-    _write_health(folder / "health.csv", record, components)
+    write_health(
+        folder / "health.csv",
+        result.optimized.stamps_s,
+        record.health,
+        [k.frame_index for k in result.keyframes],
+        components,
+    )
     _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes, components)
     with keep_going("pose_graph.g2o", warn):
         record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
@@ -105,21 +112,6 @@ def _write_audit_trail(
                     components[candidate.query_id],
                 ]
             )
-
-
-def _write_health(path: Path, record: RunRecord, components: NDArray[np.intp]) -> None:
-    """Write one row for each frame: time, tracking, open directions, component of the map.
-
-    The component, that of the newest keyframe so far, is empty where tracking was lost.
-    """
-    keyframes, stamps_s = record.result.keyframes, record.result.optimized.stamps_s
-    newest = np.searchsorted([k.frame_index for k in keyframes], np.arange(len(stamps_s)), "right")
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["stamp_s", *FrameHealth._fields, "component"])
-        for stamp_s, health, n in zip(stamps_s, record.health, newest, strict=True):
-            is_known = n > 0 and health.health != "lost"
-            writer.writerow([stamp_s, *health, components[n - 1] if is_known else ""])
 
 
 def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapStore) -> ReportData:

@@ -240,7 +240,8 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
         try:
-            result = slam.run(job.dataset, max_frames=job.max_frames)
+            with job.observer.health.saved_in(folder / "health.csv", len(closer.history)):
+                result = slam.run(job.dataset, max_frames=job.max_frames)
         except KeyboardInterrupt:
             raise RunInterrupted(folder, job.observer.n_frames) from None
     write_trajectory(folder, "odometry", result.odometry)
@@ -286,7 +287,7 @@ def _finish(
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
         with_color=job.with_color,
         z_up=job.z_up,
-        health=job.observer.health,
+        health=job.observer.health.frames,
         usage=used,
         clock=job.clock,
     )

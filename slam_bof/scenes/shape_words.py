@@ -62,7 +62,7 @@ def shape_descriptors(cloud: LevelledCloud) -> NDArray[np.float32]:
 
     It holds the magnitudes of the BOF's spectrum; the logarithms of the short and long side of the
     smallest enclosing rectangle; the heights of the contour's bottom and top above the floor in
-    metres; and a value that tells height slices from distance slices.
+    metres; and a value that differs between height and distance slices.
     """
     plan_origin = np.array([0.0, cloud.camera_height_m, PLAN_CENTER_M], np.float32)
     plans = _contours(cloud.points - plan_origin, HEIGHT_SLICES)

@@ -1,8 +1,8 @@
-"""How much of what the camera has seen was new, which tells how sure a smoothed label can be.
+"""How much of what the camera has seen was new, which limits how certain a smoothed label can be.
 
 Neighbouring keyframes see the same surfaces, and a classifier that is wrong about them is wrong
 each time. The hidden Markov model counts every keyframe, which finds the most probable scene. How
-probable that is follows from the mean of the views near by that it assigns to the same scene: a
+probable it is follows from the mean of the nearby views that it assigns to the same scene: a
 hundred views of one wall count as one, and other views of the same place a little more.
 """
 

@@ -34,7 +34,7 @@ __all__ = ["BackgroundMapping", "serve"]
 MAX_WAITING = 8
 """Number of keyframes that may wait; then no frame becomes a keyframe until there is room."""
 NICENESS = 5
-"""How far the process stands back behind the caller where there are too few processors."""
+"""Niceness of the process, so that the caller comes first where there are too few processors."""
 PROTOCOL = pickle.HIGHEST_PROTOCOL
 PATIENCE_S = 5.0
 """How long the process may take to end after its last request."""

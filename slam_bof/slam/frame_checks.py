@@ -1,4 +1,4 @@
-"""What a loop closer refuses at its door, and how it says so."""
+"""Checks of the frames and poses that a loop closer is given."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 __all__ = ["FrameChecks", "checked_pose", "rotation_first"]
 
 MAX_JUMP_S = 86_400.0
-"""A stamp farther ahead of the last than this is broken, unless the next frame confirms it."""
+"""A stamp farther ahead of the last one than this is refused, unless the next frame confirms it."""
 
 
 class FrameChecks:

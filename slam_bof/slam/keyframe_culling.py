@@ -1,4 +1,4 @@
-"""Keyframe culling: where a place is known well enough, later views of it are let go of.
+"""Keyframe culling: where enough keyframes show a place, later ones are removed from the map.
 
 The reduced pose graph of Johannsson et al. (ICRA 2013), with the test of ORB-SLAM that several
 others see the same: a keyframe goes if enough older ones stand where it stands and look where it
@@ -23,7 +23,7 @@ __all__ = ["KeyframeCulling", "MapParams"]
 
 
 class MapParams(Params):
-    """When the map lets go of keyframes, so that it stops growing where it is complete."""
+    """When keyframes are removed from the map, so that it stops growing where it is complete."""
 
     cull: bool = Field(
         True,
@@ -74,8 +74,8 @@ class KeyframeCulling:
     window
         Number of keyframes for which a loop may wait for others to agree.
     max_distance_m, max_angle_rad
-        Largest error, in the map, of the loops of a keyframe that is culled. One with a loop that
-        the map contradicts is kept for the final optimisation to judge.
+        Largest error, in the map, of the loops of a keyframe that is culled. A keyframe with a
+        loop that the map contradicts is kept until the final optimisation, which weighs all loops.
 
     Attributes
     ----------

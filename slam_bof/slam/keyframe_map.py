@@ -1,4 +1,4 @@
-"""The keyframes of the map: description, loop detection and insertion into the pose graph."""
+"""The keyframes of the map: description, loops and pose graph."""
 
 from __future__ import annotations
 
@@ -240,12 +240,14 @@ class KeyframeMap:
                 else self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
             )
             self._verification.add(frame, points)
-            verified = self._verification.verify(
-                found.candidates + covisible,
+            candidates = found.candidates + covisible
+            aligned = self._verification.align(candidates, T_map_camera, found.guesses)
+            verified = self._verification.decide(
+                candidates,
+                aligned,
                 T_map_camera,
                 path_m=self.graph.path_m,
                 components=components,
-                guesses=found.guesses,
             )
         self._add_loops(verified.admitted)
         if is_full:

@@ -2,36 +2,30 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
-from slam_bof.geometry import (
-    CloudCamera,
-    quantize_depth,
-    restore_frame,
-    se3,
-)
+from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3
 from slam_bof.slam.background import BackgroundMapping
 from slam_bof.slam.config import Config, preset, resolve
 from slam_bof.slam.frame_checks import FrameChecks, checked_pose, rotation_first
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
+from slam_bof.slam.map_updates import Journal, MapUpdates
 from slam_bof.slam.mapping import DirectMapping, KeyframeJob, Mapping, MapUpdate
+from slam_bof.slam.whole_calls import WholeCalls
 from slam_bof.tracking import KeyframeSelector, Track, Tracker
 from slam_bof.types import (
     LOST,
     Array,
     DepthFrame,
     FramePose,
-    Keyframe,
     KeyframeRecord,
     Pose,
     SensorParams,
@@ -39,26 +33,7 @@ from slam_bof.types import (
     Trajectory,
 )
 
-__all__ = ["Journal", "LoopCloser"]
-
-Journal = Callable[[KeyframeRecord], None]
-"""Called with the record of each new keyframe to save it, such as ``MapWriter.write``. What it
-raises ends the call of the loop closer, which has processed the frame all the same; the record
-comes again before that of the next keyframe, and at the end."""
-
-
-FIELDS = (
-    *("history", "n_postponed", "_tracker", "_session"),
-    *("_newest", "_chosen", "_T_map_track", "_updates", "_last"),
-)
-"""Attributes of a loop closer that refer to other objects after a call."""
-
-
-class _Chosen(NamedTuple):
-    """The newest frame of this session that became a keyframe, and its segment."""
-
-    frame_index: int
-    segment: int
+__all__ = ["LoopCloser"]
 
 
 class LoopCloser:
@@ -93,19 +68,14 @@ class LoopCloser:
         self._mapping: Mapping = mapping(config, self._clock)
         self._map = self._mapping.map
         self._checks = FrameChecks()
+        self._updates = MapUpdates()
+        self._calls = WholeCalls()
+        self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
         self._session = 0
-        self._newest: Keyframe | None = None
-        self._chosen: _Chosen | None = None
-        self._T_map_track: Pose = np.eye(4)
+        self._segment: int | None = None  # of this session's newest keyframe
         self._last: tuple[Track, Pose] | None = None
-        self._updates: list[MapUpdate] = []
-        self._unsaved: list[KeyframeRecord] = []
         self.n_postponed = 0
         """Number of frames that came while too many keyframes waited for one more."""
-        self._lock = threading.Lock()
-        self._owner: int | None = None
-        self._before: Checkpoint | None = None
-        self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
 
     @classmethod
     def from_preset(
@@ -187,7 +157,7 @@ class LoopCloser:
             In the background, what an earlier keyframe has raised, which is then not in the map.
             This frame has not been processed, and may be given again.
         """
-        with self._whole() as before:
+        with self._call() as before:
             return self._process(before, frame, T_odom_camera, covariance, T_view_camera)
 
     def _process(
@@ -229,7 +199,7 @@ class LoopCloser:
             self.history.frames[-1] = replace(
                 self.history.frames[-1], step_covariance=track.step_covariance
             )
-            self._chosen = _Chosen(frame_index, track.segment)
+            self._segment = track.segment
             is_saved = self.journal is not None
             state = self._state() if is_saved else {}
             update = self._mapping.submit(
@@ -242,11 +212,11 @@ class LoopCloser:
 
     def _step(self, track: Track, T_odom_camera: Pose) -> Step:
         """Return the result of a frame, and of the keyframes that are in the map since the last."""
-        updates, self._updates = self._updates, []
-        T_map_camera = self._T_map_track @ track.T_odom_camera
+        updates, newest = self._updates.take(), self._updates.newest
+        T_map_camera = self._updates.T_map_track @ track.T_odom_camera
         return Step(
             updates[-1].keyframe if updates else None,
-            self._newest.scene if self._newest else None,
+            newest.scene if newest else None,
             tuple(loop for update in updates for loop in update.verified.admitted),
             tuple(candidate for update in updates for candidate in update.verified.candidates),
             T_map_camera @ se3.inverse(T_odom_camera),
@@ -281,7 +251,7 @@ class LoopCloser:
         ValueError
             If the points are not (N, 3).
         """
-        with self._whole() as before:
+        with self._call() as before:
             T_odom_camera = checked_pose(T_odom_camera, len(self.history), stamp_s)
             has_camera = self._checks.camera is not None
             frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
@@ -300,7 +270,7 @@ class LoopCloser:
         Keyframes that the journal could not save are passed to it again. If it fails again, set
         ``journal`` to None and call once more to get the trajectory all the same.
         """
-        with self._whole(wait=True) as before:
+        with self._call(wait=True) as before:
             before.save(self._mapping)
             with self._clock.stage("optimize"):
                 self._map.graph.optimize()
@@ -320,36 +290,32 @@ class LoopCloser:
         ValueError
             If this loop closer has processed frames before.
         """
-        with self._whole(wait=True) as before:
+        with self._call(wait=True) as before:
             before.save(self._mapping)
-            self._restore(records)
-
-    def _restore(self, records: Iterable[KeyframeRecord]) -> None:
-        """Do what ``restore`` says."""
-        if self._map.keyframes or len(self.history):
-            raise ValueError("only a new loop closer can restore a saved map")
-        record = None
-        for record in records:
-            while self._map.session < record.keyframe.session:
-                self._begin_session()
-            self._checks.camera = record.depth.intrinsics
-            self.history.frames.extend(record.frames)
-            self._map.replay(record)
-            self._newest = record.keyframe
-        if record is not None:
-            self._T_map_track = self._map.T_map_track
-            self._chosen = _Chosen(record.keyframe.frame_index, record.keyframe.segment)
-        if record is None or not record.state:
-            return  # a pruned map cannot be resumed, only continued by another session
-        frame = restore_frame(record.depth, record.keyframe.stamp_s)
-        frame, last = frame.with_sensor(self._config.sensor), record.frames[-1]
-        track = Track(last.T_odom_camera, False, last.segment, float("nan"))
-        self._tracker.restore(record.state["tracker"], frame, track)
-        self._tracker.trusts_odometry = self._map.trusts_odometry
-        self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
-        self._map.restore(record.state["detector"])
-        if record.state["is_around"] is not None:
-            self._cloud_camera.restore(record.depth.intrinsics, record.state["is_around"])
+            if self._map.keyframes or len(self.history):
+                raise ValueError("only a new loop closer can restore a saved map")
+            record = None
+            for record in records:
+                while self._map.session < record.keyframe.session:
+                    self._begin_session()
+                self._checks.camera = record.depth.intrinsics
+                self.history.frames.extend(record.frames)
+                self._map.replay(record)
+                self._updates.newest = record.keyframe
+            if record is not None:
+                self._updates.T_map_track = self._map.T_map_track
+                self._segment = record.keyframe.segment
+            if record is None or not record.state:
+                return  # a pruned map cannot be resumed, only continued by another session
+            frame = restore_frame(record.depth, record.keyframe.stamp_s)
+            frame, last = frame.with_sensor(self._config.sensor), record.frames[-1]
+            track = Track(last.T_odom_camera, False, last.segment, float("nan"))
+            self._tracker.restore(record.state["tracker"], frame, track)
+            self._tracker.trusts_odometry = self._map.trusts_odometry
+            self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
+            self._map.restore(record.state["detector"])
+            if record.state["is_around"] is not None:
+                self._cloud_camera.restore(record.depth.intrinsics, record.state["is_around"])
 
     def begin_session(self) -> None:
         """Begin a session: the next frames have another odometry frame, in the same place.
@@ -357,17 +323,18 @@ class LoopCloser:
         The clock may restart. The new keyframes form a separate component of the pose graph until
         loops join it to the earlier ones.
         """
-        with self._whole(wait=True) as before:
+        with self._call(wait=True) as before:
             before.save(self._mapping)
             self._begin_session()
 
     def _begin_session(self) -> None:
-        """Do what ``begin_session`` says."""
+        """Begin a session, within a call."""
         self._map.begin_session()
         self._session += 1
         self.history = FrameHistory()
-        self._chosen = self._last = None
-        segment = self._newest.segment + 1 if self._newest else 0
+        self._segment = self._last = None
+        newest = self._updates.newest
+        segment = newest.segment + 1 if newest else 0
         self._tracker = Tracker(self._config.tracking, seed=self._config.seed, segment=segment)
         self._selector.reset()
 
@@ -376,7 +343,7 @@ class LoopCloser:
 
         Between frames, or after the last, it brings what came of keyframes in the background.
         """
-        with self._whole():
+        with self._call():
             return None if self._last is None else self._step(*self._last)
 
     def drain(self) -> None:
@@ -387,7 +354,7 @@ class LoopCloser:
         Exception
             If a keyframe could not be processed in the background.
         """
-        with self._whole(wait=True):
+        with self._call(wait=True):
             pass
 
     def close(self) -> None:
@@ -429,99 +396,60 @@ class LoopCloser:
     @property
     def frames_since_keyframe(self) -> list[FramePose]:
         """The frames of this session after its newest keyframe."""
-        return self.history.frames[self._first_unsaved :]
-
-    @property
-    def _first_unsaved(self) -> int:
-        """Index of the first frame of this session after its newest keyframe in the map."""
-        newest = self._newest
-        is_own = newest is not None and newest.session == self._session
-        return newest.frame_index + 1 if newest is not None and is_own else 0
+        return self.history.frames[self._updates.first_frame_after(self._session) :]
 
     def _begins_segment(self, track: Track) -> bool:
         """Return whether tracking has resumed after a loss, in a new segment."""
-        chosen = self._chosen
-        return not track.is_lost and chosen is not None and chosen.segment != track.segment
+        return not track.is_lost and self._segment not in (None, track.segment)
 
     @contextmanager
-    def _whole(self, *, wait: bool = False) -> Iterator[Checkpoint]:
-        """Run a call alone. If it does not come to its end, take back all that it did.
+    def _call(self, *, wait: bool = False) -> Iterator[Checkpoint]:
+        """Run a call alone, and whole or not at all; return the state before it.
 
         With ``wait`` all keyframes so far are in the map before it begins.
         """
-        if self._lock.locked() and self._owner == threading.get_ident():
-            raise RuntimeError("called from inside another call of the same loop closer")
-        with self._lock:
-            try:
-                self._owner = threading.get_ident()
-                self._take_back()
-                self._mapping.send()
-                if wait:
-                    self._mapping.drain()
-                self._receive()
-                yield self._begin()
-                self._before = None
-                self._mapping.send()
-                self._save()
-            except BaseException:
-                self._take_back()
-                raise
-            finally:
-                self._owner = None
+        with self._calls.alone():
+            self._mapping.send()
+            if wait:
+                self._mapping.drain()
+            self._receive()
+            with self._calls.whole(self._checkpoint()) as before:
+                yield before
+            self._mapping.send()
+            self._save()
 
-    def _begin(self) -> Checkpoint:
-        """Return the present state, to which ``_take_back`` returns."""
+    def _checkpoint(self) -> Checkpoint:
+        """Return the present state, but for that of mapping."""
         before = Checkpoint()
-        before.save_attributes(self, *FIELDS)
+        before.save_attributes(
+            self, "history", "n_postponed", "_tracker", "_session", "_segment", "_last"
+        )
         before.save_attributes(self._checks, "camera")
-        before.save(self.history, self._tracker, self._selector, self._cloud_camera)
-        before.save(self._updates, self._unsaved)
-        self._before = before
+        before.save(self.history, self._tracker, self._selector, self._cloud_camera, self._updates)
         return before
 
     def _receive(self) -> None:
         """Take in the keyframes that were processed in the background since the last call."""
         finished = self._mapping.finished()
         if finished:
-            self._begin()
-            for update in finished:
-                if self._newest is None or update.keyframe.id > self._newest.id:
-                    self._apply(update)
-            self._before = None
+            newest = self._updates.newest
+            with self._calls.whole(self._checkpoint()):
+                for update in finished:
+                    if newest is None or update.keyframe.id > newest.id:
+                        self._apply(update)
             self._mapping.forget(len(finished))
 
-    def _take_back(self) -> None:
-        """Return to the state before a call that did not come to its end, if there was one."""
-        if self._before is not None:
-            self._before.restore()
-            self._before = None
+    def _apply(self, update: MapUpdate) -> None:
+        """Go on from a keyframe that is in the map."""
+        self._updates.add(update, self.history.frames)
+        if update.keyframe.session == self._session:
+            self._tracker.trusts_odometry = update.trusts_odometry
 
     def _save(self) -> None:
-        """Pass the records of new keyframes to the journal, oldest first."""
+        """Pass the records of new keyframes to the journal."""
         with self._clock.stage("save"):
-            while self._unsaved and self.journal is not None:
-                self.journal(self._unsaved[0])
-                del self._unsaved[0]
-
-    def _apply(self, update: MapUpdate) -> None:
-        """Go on from a keyframe that is in the map, and make its record for the journal."""
-        keyframe, verified = update.keyframe, update.verified
-        if update.depth is not None:
-            record = KeyframeRecord(
-                keyframe=keyframe,
-                depth=update.depth,
-                frames=tuple(self.history.frames[self._first_unsaved : keyframe.frame_index + 1]),
-                candidates=tuple(verified.candidates),
-                measured=tuple(verified.measured),
-                admitted=tuple(verified.admitted),
-                culled=update.culled,
-                state=update.state,
-            )
-            self._unsaved.append(record)
-        self._newest, self._T_map_track = keyframe, update.T_map_track
-        if keyframe.session == self._session:
-            self._tracker.trusts_odometry = update.trusts_odometry
-        self._updates.append(update)
+            if self.journal is not None:
+                self._updates.save(self.journal)
 
     def _state(self) -> dict[str, Any]:
         """Return the state that keyframes do not contain, as JSON values; the map adds its own."""

@@ -1,4 +1,4 @@
-"""All edges that ever entered the pose graph, in little memory."""
+"""A compact log of all edges that ever entered the pose graph."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""From a frame that tracking has placed to a keyframe of the map with its loops."""
+"""The way of a tracked frame into the map, where it becomes a keyframe with loops."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 from slam_bof.core import Checkpoint, StageClock
@@ -19,7 +20,7 @@ __all__ = ["DirectMapping", "KeyframeJob", "MapUpdate", "Mapping", "map_keyframe
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeJob:
-    """A frame that becomes a keyframe, and where odometry and tracking have it.
+    """A frame that becomes a keyframe, with its poses from odometry and tracking.
 
     ``state`` is the state of tracking, as JSON values. ``is_saved`` is whether the keyframe has a
     journal, which needs its depth and the state of the map.
@@ -35,7 +36,7 @@ class KeyframeJob:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapUpdate:
-    """A keyframe that is in the map, and those that the map let go of with it.
+    """A keyframe that has come into the map, and the keyframes that were culled with it.
 
     ``T_map_track`` is the correction of its track by the map, and ``trusts_odometry`` says whether
     the map has found odometry to be about as precise as alignment. ``depth`` and ``state``, of
@@ -93,7 +94,7 @@ class Mapping(Protocol):
         """Take a frame; return what came of it, or None if that comes later."""
 
     def send(self) -> None:
-        """Let the frames go that were taken, once the call that they came with has succeeded."""
+        """Hand on the submitted frames, once the call that they came with has succeeded."""
 
     def finished(self) -> list[MapUpdate]:
         """Return the keyframes that came later, oldest first, until ``forget``.
@@ -125,10 +126,7 @@ class DirectMapping:
 
     def __init__(self, config: Config, clock: StageClock) -> None:
         self.map = KeyframeMap(config, clock)
-
-    def submit(self, job: KeyframeJob) -> MapUpdate:
-        """Process a keyframe."""
-        return map_keyframe(self.map, job)
+        self.submit = partial(map_keyframe, self.map)
 
     def send(self) -> None:
         """Do nothing: ``submit`` does it all."""

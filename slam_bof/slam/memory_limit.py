@@ -1,4 +1,4 @@
-"""The memory that a map may take: beyond it, the search for old places stops, not the machine."""
+"""A limit of memory, beyond which new keyframes are no longer searched for loops."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ SHARE = 0.9
 
 
 class MemoryLimit:
-    """Whether this process has reached its limit of memory; if so, for good."""
+    """Measures whether this process has reached its limit of memory. Once reached, it stays so."""
 
     def __init__(self, max_mb: float | None) -> None:
         self.max_mb = SHARE * machine_memory_mb() if max_mb is None else max_mb
         self._is_reached = False
 
     def is_reached(self) -> bool:
-        """Measure, unless it was reached before; the first time, a warning says so."""
+        """Return whether the limit is or was reached; the first time, log a warning."""
         if not self._is_reached and (found_mb := rss_mb() or 0.0) > self.max_mb:
             self._is_reached = True
             logger.warning(

@@ -1,4 +1,4 @@
-"""The pose graph, and which components it holds together."""
+"""The pose graph and its connected components."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_STEP_SIGMA = 2.0
 
 
 class MapGraph:
-    """Takes keyframes and loops in the order they come; joins components that loops join.
+    """Adds keyframes and loops to the back-end in order, and joins components that loops connect.
 
     Steps from keyframe to keyframe are those of tracking. If odometry turns out to be more
     precise than the edges between keyframes, they become those of odometry in the final

@@ -7,9 +7,11 @@ from .map_components import (
     components_of as components_of,
     largest_component as largest_component,
 )
+from .map_reader import (
+    Session as Session,
+)
 from .map_store import (
     MapStore as MapStore,
-    Session as Session,
     SessionResult as SessionResult,
 )
 from .map_writer import (

@@ -1,8 +1,8 @@
 """Scenes whose surfaces leave directions of motion open, and a camera that moves through them.
 
-In a corridor without an end in range, depth does not tell how far the camera moved along it, nor in
-front of a wall how far it slid past. Whether registration knows this shows in the map of such
-motion, from odometry that is exact, that drifts, or that is itself computed from depth.
+In a corridor without an end in range, depth does not show how far the camera moved along it, nor in
+front of a wall how far it slid past. The map of such a motion shows whether registration notices
+this, with odometry that is exact, that drifts, or that is itself computed from depth.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ __all__ = ["DEGENERATE_SCENES", "MOTIONS", "DegenerateCase", "render_case"]
 
 GREY = (0.7, 0.7, 0.7)
 SWAY_RAD = float(np.radians(2.0))
-"""By which a camera in the hand turns to and fro about where it is meant to look."""
+"""Amplitude by which a hand-held camera turns to and fro about its viewing direction."""
 SWAY_M = 0.015
 ROUND_S = 12.0
 GLASS_HOLES = 0.7
 """Share of the pixels that are lost before glass."""
 
 MOTIONS = ("handheld", "wheeled")
-"""A hand sways and turns by degrees; wheels go on evenly."""
+"""A hand sways and turns by some degrees; wheels move evenly."""
 
 Path = tuple[Array, Array, Array]
 """Positions (N, 3), yaw (N,) and pitch (N,), as ``camera_poses`` takes them."""

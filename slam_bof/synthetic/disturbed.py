@@ -14,7 +14,7 @@ from slam_bof.types import Array
 __all__ = ["Play", "darkened", "drifted", "in_pieces", "uncut", "without"]
 
 PAUSE_S = 1.0
-"""Between two pieces that did not follow each other."""
+"""Time in s between two pieces that did not follow each other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

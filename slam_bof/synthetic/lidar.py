@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from slam_bof.core import import_open3d
 from slam_bof.synthetic.meshes import Mesh
+from slam_bof.synthetic.scene import ray_casting_scene
 from slam_bof.types import Array, Params, Pose
 
 __all__ = ["Lidar", "LidarParams"]
@@ -36,12 +36,7 @@ class Lidar:
 
     def __init__(self, mesh: Mesh, params: LidarParams | None = None) -> None:
         self.params = p = params or LidarParams()
-        o3d = import_open3d()
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        corners = mesh.triangles.reshape(-1, 3).astype(np.float32)
-        index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-        self._scene.add_triangles(self._tensor(corners), self._tensor(index))
+        self._scene, self._tensor = ray_casting_scene(mesh)
         rings = np.radians(np.linspace(-p.half_angle_deg, p.half_angle_deg, p.n_rings))
         turn = 2.0 * np.pi * np.arange(p.n_columns) / p.n_columns
         azimuth, elevation = np.meshgrid(turn, rings)

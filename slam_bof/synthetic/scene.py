@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from slam_bof.geometry import ray_slopes
 from slam_bof.synthetic.meshes import Mesh
 from slam_bof.types import Intrinsics, Pose
 
-__all__ = ["KINECT", "Scene3D", "View"]
+__all__ = ["KINECT", "Scene3D", "View", "ray_casting_scene"]
 
 KINECT = Intrinsics(640, 480, 585.0, 585.0, 320.0, 240.0)
 """The depth camera of 7-Scenes."""
@@ -49,12 +50,7 @@ class Scene3D:
     """
 
     def __init__(self, mesh: Mesh, intrinsics: Intrinsics = KINECT) -> None:
-        o3d = import_open3d()
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        corners = mesh.triangles.reshape(-1, 3).astype(np.float32)
-        index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
-        self._scene.add_triangles(self._tensor(corners), self._tensor(index))
+        self._scene, self._tensor = ray_casting_scene(mesh)
         self._albedo = (255 * mesh.albedo).astype(np.float32)
         self._bright = np.minimum(mesh.albedo.mean(axis=1) / _BRIGHT, 1.0).astype(np.float32)
         self.intrinsics = intrinsics
@@ -86,3 +82,13 @@ class Scene3D:
         shaded = self._albedo[view.triangle] * shade[..., None]
         shaded[view.triangle < 0] = 0.0
         return shaded.astype(np.uint8)
+
+
+def ray_casting_scene(mesh: Mesh) -> tuple[Any, Any]:
+    """Return a mesh as Open3D's scene for ray casting, and the class of its tensors."""
+    o3d = import_open3d()
+    tensor, scene = o3d.core.Tensor, o3d.t.geometry.RaycastingScene()
+    corners = mesh.triangles.reshape(-1, 3).astype(np.float32)
+    index = np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)
+    scene.add_triangles(tensor(corners), tensor(index))
+    return scene, tensor

@@ -1,4 +1,4 @@
-"""What a back-end is held to."""
+"""The contract of back-end plug-ins, as a test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a descriptor is held to."""
+"""The contract of descriptor plug-ins, as a test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an odometry is held to."""
+"""The contract of odometry plug-ins, as a test."""
 
 from __future__ import annotations
 

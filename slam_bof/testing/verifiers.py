@@ -1,4 +1,4 @@
-"""What a verifier is held to."""
+"""The contract of verifier plug-ins, as a test."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["check_verifier"]
 
 CLOUD = PointParams(stride=4, max_range_m=4.0)
 SMALL = se3.exp(np.array([0.02, -0.03, 0.02, 0.05, 0.03, -0.05]))
-"""What the guess is off by."""
+"""Error of the initial guess."""
 
 
 def check_verifier(
@@ -88,12 +88,12 @@ def _check_order(
         expect(
             bool(np.allclose(found.T_match_query, alone.T_match_query, atol=1e-4))
             and abs(found.overlap - alone.overlap) < 2e-3,
-            "a match among others must be judged as if it were alone",
+            "a match among others must give the same as alone",
         )
     expect(
         verifier.verify(query, []) == []
         and verifier.verify(query, [], T_match_query=np.empty((0, 4, 4))) == [],
-        "no matches, no verdicts",
+        "without matches the answer must be empty",
     )
 
 
@@ -104,7 +104,7 @@ def _prepare(verifier: Verifier, frame: DepthFrame) -> Any:
 def _verify(verifier: Verifier, query: Any, match: Any, guess: Array | None) -> Verification:
     guesses = None if guess is None else guess[None]
     found = verifier.verify(query, [match], T_match_query=guesses)
-    expect(len(found) == 1, f"one match, one verdict, got {len(found)}")
+    expect(len(found) == 1, f"one match must give one answer, got {len(found)}")
     expect_rigid(found[0].T_match_query, "T_match_query")
     information = found[0].information
     expect(information.shape == (6, 6), f"information must be (6, 6), got {information.shape}")

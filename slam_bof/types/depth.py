@@ -33,7 +33,7 @@ MAX_FOCAL = 100.0
 MAX_CENTER = 0.95
 """Largest plausible coordinate of the principal point, as a share of the image's size."""
 MAX_DEPTH_M = 1e12
-"""Metres beyond this are none, in no unit that was taken for metres."""
+"""Largest plausible depth in metres; beyond it, the unit is another."""
 MAX_PIXELS = 1 << 24
 """Largest plausible number of pixels of a depth image; depth cameras have up to some 5 million."""
 SAME_CAMERA = 0.005

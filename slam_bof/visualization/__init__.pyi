@@ -2,9 +2,6 @@ from .bof_figures import (
     draw_bof as draw_bof,
     draw_constellations as draw_constellations,
 )
-from .figures import (
-    draw_precision_recall as draw_precision_recall,
-)
 from .live_view import (
     LiveView as LiveView,
 )
@@ -23,15 +20,20 @@ from .plan import (
 from .plan_figure import (
     draw_plan as draw_plan,
 )
+from .precision_recall_figure import (
+    draw_precision_recall as draw_precision_recall,
+)
+from .report_data import (
+    FrameHealth as FrameHealth,
+    PicturedPair as PicturedPair,
+    ReportData as ReportData,
+)
 from .rerun_recording import (
     LIVE as LIVE,
     MapSpace as MapSpace,
     RerunRecording as RerunRecording,
 )
 from .run_report import (
-    FrameHealth as FrameHealth,
-    PicturedPair as PicturedPair,
-    ReportData as ReportData,
     write_report as write_report,
 )
 from .scene_page import (

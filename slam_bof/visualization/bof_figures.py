@@ -15,7 +15,7 @@ from slam_bof.bof import (
 )
 from slam_bof.geometry import points_camera_f32, se3
 from slam_bof.types import Array, DepthFrame
-from slam_bof.visualization.figures import COLORS
+from slam_bof.visualization.figure_style import COLORS
 from slam_bof.visualization.svg import document, dots, line, picture, shape, words
 
 __all__ = ["draw_bof", "draw_constellations"]
@@ -50,7 +50,7 @@ def draw_bof(frame: DepthFrame, params: PlaceParams, *, title: str) -> str:
     parts = [
         words(MARGIN_PX, MARGIN_PX + 14, title, size=15),
         words(left[0], top - 10, f"Cloud of {len(points)} points in {n} layers"),
-        words(left[1], top - 10, "Their binary images, and contours of at least 1 %"),
+        words(left[1], top - 10, "Their binary images with contours"),
         words(left[2], top - 10, f"BOF: {len(radii)} curves of {radii.shape[1]} values"),
         *_cloud(points, n, colors, (left[0], top)),
     ]

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slam_bof.visualization.figures import COLORS
+from slam_bof.visualization.figure_style import COLORS
 
 __all__ = ["draw_confusion", "draw_loop_matrix", "write_png"]
 
@@ -37,8 +37,8 @@ def draw_loop_matrix(
     truth
         (K, K) whether a pair shows the same place by ground truth; such pairs are tinted.
     loops
-        For each name in the legend, a colour (a name in ``figures.COLORS``) and the pairs (L, 2)
-        of query and match to mark.
+        For each name in the legend, a colour (a key of ``figure_style.COLORS``) and the pairs
+        (L, 2) of query and match to mark.
     title
         The line above the matrix.
 

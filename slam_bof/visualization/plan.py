@@ -1,4 +1,4 @@
-"""What the plan of a map is drawn from."""
+"""The data that the plan of a map is drawn from."""
 
 from __future__ import annotations
 

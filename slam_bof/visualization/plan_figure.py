@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from slam_bof.geometry import se3
 from slam_bof.types import Array
-from slam_bof.visualization.figures import COLORS, PALETTE, apply_style
+from slam_bof.visualization.figure_style import COLORS, PALETTE, apply_style
 from slam_bof.visualization.plan import Plan
 
 __all__ = ["draw_plan"]

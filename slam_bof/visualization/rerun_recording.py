@@ -1,4 +1,4 @@
-"""What rerun is given of a run or a saved map: the viewer itself, or a file for it."""
+"""A recording of a run or a saved map for rerun, shown in its viewer or written to a file."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from slam_bof.types import Array, Candidate, Decision, DepthFrame, EdgeKind, Loo
 __all__ = ["LIVE", "MapSpace", "RerunRecording"]
 
 LIVE = "live"
-"""In place of a file: open the viewer."""
+"""Given in place of a file, it opens the viewer."""
 
 VIEWER_PORT = 9876
-"""At which rerun's viewer listens."""
+"""Port at which rerun's viewer listens."""
 
 COLORS = {
     "path": (47, 109, 181),
@@ -36,9 +36,9 @@ COLORS = {
 }
 VOXEL_SIZE_M = 0.03
 VOXEL_KEYS = np.array([1, 1 << 21, 1 << 42])
-"""Make one number of the three of a voxel, different ones within 30 km."""
+"""Factors that make one number of a voxel's three indices; they differ within 30 km."""
 GOLDEN_RATIO = 0.618
-"""Between the hues of consecutive components, so that all differ."""
+"""Step between the hues of consecutive components, so that all differ."""
 
 
 class RerunRecording:

@@ -5,14 +5,10 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from slam_bof import evaluation
 from slam_bof.geometry import se3
 from slam_bof.types import (
     Array,
@@ -20,90 +16,23 @@ from slam_bof.types import (
     CandidateSource,
     Decision,
     EdgeKind,
-    Keyframe,
-    Loop,
-    Pose,
     Trajectory,
 )
 from slam_bof.visualization import html_page as page
 from slam_bof.visualization.depth_pictures import MAX_DEPTH_M, depth_picture
 from slam_bof.visualization.plan import Plan
+from slam_bof.visualization.report_data import PicturedPair, ReportData
+from slam_bof.visualization.report_paths import (
+    aligned_poses,
+    level_axes,
+    loop_links,
+    truth_by_frame,
+)
 
-__all__ = ["FrameHealth", "PicturedPair", "ReportData", "write_report"]
+__all__ = ["write_report"]
 
 N_REASONS = 15
 """Number of reasons that the report counts."""
-
-
-class FrameHealth(NamedTuple):
-    """How a frame was tracked: ``Step.health``, and the number of open directions."""
-
-    health: str
-    n_open: int
-
-
-class PicturedPair(NamedTuple):
-    """A pair of keyframes that was considered as a loop, and their depth images side by side.
-
-    ``depth_m`` is (H, 2 W), the query's to the left.
-    """
-
-    candidate: Candidate
-    depth_m: NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ReportData:
-    """The data of a report.
-
-    Parameters
-    ----------
-    metrics
-        As in metrics.json; None is shown as unknown.
-    odometry, optimized
-        ``T_odom_camera`` and ``T_map_camera`` of every frame.
-    groundtruth
-        ``T_world_camera``, associated with the frames by time stamp; NaN where unknown.
-    keyframes, loops, candidates
-        In order of time; a keyframe's ``frame_index`` is an index of the frames above.
-    true_scenes
-        The true label of each keyframe, None where unknown.
-    plan
-        The plan of the map that the session belongs to, None if there is none.
-    health
-        Of every frame; empty if it is not known.
-    pairs
-        Some of the candidates, to be shown as pictures.
-    command, configuration
-        What makes the run again: a command line, and the configuration as YAML.
-    """
-
-    metrics: Mapping[str, str | int | float | None]
-    odometry: Trajectory
-    optimized: Trajectory
-    groundtruth: Trajectory | None = None
-    keyframes: Sequence[Keyframe] = ()
-    loops: Sequence[Loop] = ()
-    candidates: Sequence[Candidate] = ()
-    true_scenes: Sequence[str | None] | None = None
-    plan: Plan | None = None
-    health: Sequence[FrameHealth] = ()
-    pairs: Sequence[PicturedPair] = ()
-    command: str = ""
-    configuration: str = ""
-
-    def __post_init__(self) -> None:
-        """Check the lengths."""
-        if len(self.odometry) != len(self.optimized):
-            raise ValueError(
-                f"trajectories must have the same frames, got {len(self.odometry)} of odometry "
-                f"and {len(self.optimized)} optimized"
-            )
-        if self.true_scenes is not None and len(self.true_scenes) != len(self.keyframes):
-            raise ValueError(
-                f"true_scenes must have a label for each of {len(self.keyframes)} keyframes, "
-                f"got {len(self.true_scenes)}"
-            )
 
 
 def write_report(path: Path | str, data: ReportData) -> None:
@@ -135,7 +64,7 @@ def _subtitle(data: ReportData) -> str:
 
 
 def _sections(data: ReportData) -> Iterator[str]:
-    truth = _truth_by_frame(data)
+    truth = truth_by_frame(data)
     if data.plan is not None:
         yield _plan_section(data, data.plan)
     yield _trajectory_section(data, truth)
@@ -185,7 +114,7 @@ def _plan_section(data: ReportData, plan: Plan) -> str:
 
 
 def _health_section(data: ReportData) -> str:
-    from slam_bof.visualization import figures
+    from slam_bof.visualization import report_figures as figures
 
     n_open = np.array([frame.n_open for frame in data.health])
     is_lost = np.array([frame.health == "lost" for frame in data.health])
@@ -202,7 +131,7 @@ def _health_section(data: ReportData) -> str:
 
 
 def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
-    from slam_bof.visualization import figures
+    from slam_bof.visualization import trajectory_figures as figures
 
     if truth is None:
         text = (
@@ -220,11 +149,11 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
             f" The map has {n_components} components that no loop has joined: how they lie to "
             "each other is unknown, although they are drawn in one figure."
         )
-    poses = _poses(data, truth)
-    T_level = _level(poses["optimized"])
+    poses = aligned_poses(data, truth)
+    T_level = level_axes(poses["optimized"])
     paths = {name: se3.transform(T_level, p[:, :3, 3]).round(4) for name, p in poses.items()}
-    keyframes = paths["optimized"][_frame_indices(data)]
-    links = _links(data, truth, keyframes)
+    keyframes = paths["optimized"][data.frame_indices]
+    links = loop_links(data, truth, keyframes)
     if "loop" in links:
         text += " Green lines join the two keyframes of each loop."
     return page.section(
@@ -236,9 +165,9 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
 
 
 def _error_section(data: ReportData, truth: Trajectory) -> str:
-    from slam_bof.visualization import figures
+    from slam_bof.visualization import trajectory_figures as figures
 
-    poses = _poses(data, truth)
+    poses = aligned_poses(data, truth)
     true = poses.pop("groundtruth")
     errors_m = {
         name: np.linalg.norm(p[:, :3, 3] - true[:, :3, 3], axis=1).round(5)
@@ -253,7 +182,7 @@ def _error_section(data: ReportData, truth: Trajectory) -> str:
 
 
 def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str:
-    from slam_bof.visualization import figures
+    from slam_bof.visualization import report_figures as figures
 
     stamps_s = np.array([data.keyframes[c.query_id].stamp_s for c in considered])
     n_accepted = sum(c.decision == Decision.ACCEPTED for c in considered)
@@ -303,7 +232,7 @@ def _count_reasons(considered: Sequence[Candidate]) -> dict[str, int]:
 
 
 def _label_section(data: ReportData) -> str:
-    from slam_bof.visualization import figures
+    from slam_bof.visualization import report_figures as figures
 
     times_s = _since_start(data, np.array([keyframe.stamp_s for keyframe in data.keyframes]))
     known = data.true_scenes is not None and any(s is not None for s in data.true_scenes)
@@ -325,7 +254,7 @@ def _label_section(data: ReportData) -> str:
 
 
 def _stage_section(stage_ms: Mapping[str, float]) -> str:
-    from slam_bof.visualization import figures
+    from slam_bof.visualization import report_figures as figures
 
     return page.section(
         "Time",
@@ -333,66 +262,6 @@ def _stage_section(stage_ms: Mapping[str, float]) -> str:
         "time outside the stages.",
         page.figure_html(figures.draw_stages(stage_ms), "stages"),
     )
-
-
-def _truth_by_frame(data: ReportData) -> Trajectory | None:
-    """Return the true pose of each frame, NaN where unknown; None if too few are known."""
-    if data.groundtruth is None:
-        return None
-    if evaluation.align_trajectory(data.optimized, data.groundtruth) is None:
-        return None
-    i, j = evaluation.associate(data.optimized, data.groundtruth)
-    poses = np.full(data.optimized.poses.shape, np.nan)
-    poses[i] = data.groundtruth.poses[j]
-    return Trajectory(data.optimized.stamps_s, poses)
-
-
-def _poses(data: ReportData, truth: Trajectory | None) -> dict[str, Array]:
-    """Return the poses to draw, (N, 4, 4) by name, in the frame of the ground truth if known."""
-    poses = {"odometry": data.odometry.poses, "optimized": data.optimized.poses}
-    if truth is None:
-        return poses
-    known = np.isfinite(truth.poses).all(axis=(1, 2))
-    for name, T_map_camera in poses.items():
-        reference, estimate = (p[known, :3, 3] for p in (truth.poses, T_map_camera))
-        poses[name] = se3.align(reference, estimate) @ T_map_camera
-    return {**poses, "groundtruth": truth.poses}
-
-
-def _links(data: ReportData, truth: Trajectory | None, keyframes: Array) -> dict[str, Array]:
-    """Return the end points (L, 2, 3) of covisibility edges, loops, and wrong loops."""
-    ids = np.array([(loop.match_id, loop.query_id) for loop in data.loops], dtype=np.intp)
-    ends = keyframes[ids.reshape(-1, 2)]
-    far = np.array([loop.kind == EdgeKind.LOOP for loop in data.loops], dtype=bool)
-    wrong = np.zeros(len(far), dtype=bool)
-    if truth is not None:
-        indices = _frame_indices(data)
-        for i, loop in enumerate(data.loops):
-            wrong[i] = far[i] and evaluation.loop_precision([loop], indices, truth) == 0.0
-    links = {"covisibility": ends[~far], "loop": ends[far & ~wrong], "wrong": ends[wrong]}
-    return {name: pairs for name, pairs in links.items() if len(pairs)}
-
-
-def _level(T_world_camera: Array) -> Pose:
-    """Return T_view_world of poses (N, 4, 4): x right, y forward, z up, the first pose at 0.
-
-    Up is the mean direction of the cameras' tops, forward the view of the first camera.
-    """
-    if len(T_world_camera) == 0:
-        return np.eye(4)
-    up = -T_world_camera[:, :3, 1].mean(axis=0)
-    forward = T_world_camera[0, :3, 2]
-    if np.linalg.norm(np.cross(forward, up)) < 1e-6:
-        up, forward = -T_world_camera[0, :3, 1], T_world_camera[0, :3, 2]
-    up = up / np.linalg.norm(up)
-    right = np.cross(forward, up)
-    right = right / np.linalg.norm(right)
-    R = np.stack([right, np.cross(up, right), up])
-    return se3.pose(R, -R @ T_world_camera[0, :3, 3])
-
-
-def _frame_indices(data: ReportData) -> list[int]:
-    return [keyframe.frame_index for keyframe in data.keyframes]
 
 
 def _since_start(data: ReportData, stamps_s: Array) -> Array:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slam_bof.evaluation import Roc
 from slam_bof.types import Array
-from slam_bof.visualization.figures import COLORS, PALETTE, apply_style
+from slam_bof.visualization.figure_style import COLORS, PALETTE, apply_style
 
 __all__ = ["draw_confusion", "draw_reliability", "draw_roc"]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.types import Array
-from slam_bof.visualization.figures import COLORS, FONT
+from slam_bof.visualization.figure_style import COLORS, FONT
 
 __all__ = ["document", "dots", "line", "picture", "shape", "words"]
 

@@ -3,6 +3,7 @@
 import json
 from functools import lru_cache
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -160,3 +161,23 @@ def test_the_commands(fleet, scenes, tmp_path):
     wrong = run(app, ["atlas", "remove", atlas, maps[1]])
     assert (wrong.exit_code, wrong.output.count("\n")) == (1, 1)
     assert run(app, ["atlas", "list", str(tmp_path)]).exit_code == 1
+
+
+@pytest.mark.parametrize("where", ["map", "atlas"])
+def test_a_frame_that_cannot_be_read_is_unknown_among_others(fleet, scenes, tmp_path, where):
+    (tmp_path / "depth").mkdir()
+    camera = {name: getattr(CAMERA, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    (tmp_path / "intrinsics.json").write_text(json.dumps(camera))
+    for k in range(3):
+        depth_m = look(scenes[0], pose(0.08 * k, 1.6, 1.6)).depth
+        cv2.imwrite(str(tmp_path / f"depth/{k}.png"), (1000.0 * depth_m).astype(np.uint16))
+    half = (tmp_path / "depth/1.png").read_bytes()[:3000]
+    (tmp_path / "depth/1.png").write_bytes(half)
+    command = {"map": ["localize", fleet / "map0.db"], "atlas": ["atlas", "localize"]}[where]
+    command += [fleet / "atlas"] * (where == "atlas")
+    found = CliRunner().invoke(app, [*map(str, command), str(tmp_path), "--json"])
+    assert found.exit_code == 0, found.output
+    rows = json.loads(found.output)
+    assert [row["frame_index"] for row in rows] == [0, 1, 2]
+    assert [row["is_known"] for row in rows] == [True, False, True]
+    assert "1.png" in rows[1]["reason"]

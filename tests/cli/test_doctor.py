@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from test_cli import refusal, slam_bof
+from commands import refusal, slam_bof
 
 
 def test_version() -> None:

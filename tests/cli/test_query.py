@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from commands import refusal, slam_bof
 from conftest import CAMERA, box_room_depth_mm
 from saved_maps import make_loop, save
-from test_cli import refusal, slam_bof
 
 from slam_bof.bof import PlaceParams
 from slam_bof.geometry import se3

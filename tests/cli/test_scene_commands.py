@@ -7,9 +7,9 @@ from pathlib import Path
 
 import cv2
 import pytest
+from commands import refusal, slam_bof
 from conftest import CAMERA
 from labelled_boxes import SIZES_M, write_box
-from test_cli import refusal, slam_bof
 
 from slam_bof.scenes import model
 

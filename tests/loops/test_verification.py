@@ -51,7 +51,8 @@ def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]])
     for offset_m in (0.0, 0.0, shift_m):
         verification.add(UNSEEN, points + np.array([offset_m, 0.0, 0.0]))
-    found = verification.verify([candidate], T_map_camera, components=components)
+    aligned = verification.align([candidate], T_map_camera)
+    found = verification.decide([candidate], aligned, T_map_camera, components=components)
     return found.candidates[0], found.admitted
 
 
@@ -183,7 +184,8 @@ def test_open_candidates_are_registered_without_a_guess_if_always_asked(when, de
     verification = LoopVerification(verifier, params)
     for _ in range(3):
         verification.add(UNSEEN, np.array([[0.0, 0.0, 1.0]]))
-    found = verification.verify([candidate(decision=decision)], STAND)
+    candidates = [candidate(decision=decision)]
+    found = verification.decide(candidates, verification.align(candidates, STAND), STAND)
     assert len(found.admitted) == 1
     assert verifier.guessed == [n_global == 0]
     assert verification.n_global_registrations == n_global

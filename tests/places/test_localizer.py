@@ -73,14 +73,24 @@ def test_frames_from_aside_are_localised(localizer, aside):
         assert 0 <= found.keyframe_id < N_ROUND
 
 
-def test_a_pose_that_the_map_contradicts_once_refined_is_not_known(localizer, aside, monkeypatch):
-    refine = Localizer._refine
-    for forward_m, is_known in ((0.0, True), (0.3, False), (-0.3, False)):
-        shift = se3.exp(np.array([0.0, 0.0, 0.0, 0.0, 0.0, forward_m]))
-        monkeypatch.setattr(Localizer, "_refine", lambda *a, shift=shift: refine(*a) @ shift)
-        found = localizer.localize(aside[0][0])
-        assert found.is_known == is_known
-        assert ("at the refined pose the free space" in found.reason) == (not is_known)
+@pytest.mark.parametrize("error_m", [0.0, 0.13])
+def test_a_pose_that_the_map_contradicts_once_refined_is_not_known(look, turn, standpoint, error_m):
+    """The keyframe that refines the pose saw the middle of the image; the map has it too far on."""
+    frames, T_world_camera, T_map_camera = turn
+    T_world_query = camera_poses([*standpoint, 1.4], np.radians(30.0), 0.15, 0.0)
+    T_map_query = se3.inverse(T_world_camera[0]) @ T_world_query
+    query = look(T_world_query, 200)
+    middle = np.zeros_like(query.depth)
+    middle[:, 160:480] = query.depth[:, 160:480]
+    poses = [*T_map_camera, T_map_query @ se3.pose(np.eye(3), [0.0, 0.0, error_m])]
+    keyframes = [*frames, DepthFrame(1.0, middle, query.intrinsics)]
+    refined_by_one = LocalizationParams(n_refined=1)
+    found = hold(keyframes, poses, params=refined_by_one).localize(query)
+    if error_m == 0.0:
+        assert_is_at(found, T_map_query)
+    else:
+        assert not found.is_known
+        assert "at the refined pose the free space" in found.reason
 
 
 def test_each_frame_is_asked_for_by_itself(localizer, turn, aside):

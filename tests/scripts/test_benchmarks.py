@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 from conftest import ROOT
 
 BENCHMARKS = ROOT / "scripts" / "benchmarks"
@@ -22,6 +23,14 @@ def test_a_selection_is_measured_and_written(tmp_path):
     assert "scripts/measure_turns --rooms=1 --angle=20 --markdown\n" in text
     assert "| room | error m | error deg | CPU ms |\n| --- | --- | --- | --- |\n| office | " in text
     assert text.count("## ") == 1
+
+
+def test_the_quick_sequence_has_revisits_for_the_index(tmp_path):
+    done = benchmarks("constellation", "--quick", "--work", tmp_path)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "benchmarks.md").read_text("utf-8")
+    assert "--sizes 50 --min-age=20 --markdown\n" in text
+    assert "\n| 50 | " in text
 
 
 def test_missing_data_leave_a_measurement_out(tmp_path):
@@ -49,3 +58,11 @@ def test_every_measuring_script_is_run(load_script):
     for path in sorted(BENCHMARKS.parent.glob("measure_*")):
         assert path.name in text, f"{path.name} is behind no section"
     assert len({benchmark.title for benchmark in titles.values()}) == len(titles)
+
+
+@pytest.mark.parametrize("name", ["redkitchen", "lab", "office", "iphone_meeting"])
+def test_recorded_sequences_are_looked_for_and_never_made(load_script, tmp_path, name):
+    script = load_script("benchmarks")
+    data = script["Data"](tmp_path / "data", tmp_path, False)
+    with pytest.raises(script["UnavailableError"], match=f"{name}.*found no such sequence"):
+        data.sequence(name)

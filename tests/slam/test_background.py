@@ -148,6 +148,7 @@ def test_the_process_ends_with_its_loop_closer(walk):
     closer = LoopCloser.from_preset(background=True)
     process = closer._mapping._process
     closer.process(*walk[0])
+    closer.drain()  # the process is killed if it takes seconds to end
     del closer
     gc.collect()  # its map refers back to it
     deadline_s = time.monotonic() + 10.0
