@@ -516,6 +516,7 @@ class LoopCloser:
                 admitted=tuple(verified.admitted),
                 culled=update.culled,
                 state=update.state,
+                constellation=update.constellation,
             )
             self._unsaved.append(record)
         self._newest, self._T_map_track = keyframe, update.T_map_track

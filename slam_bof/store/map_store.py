@@ -23,11 +23,13 @@ from slam_bof.store.database import MapDatabase
 from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import (
     INSERT_CANDIDATE,
+    INSERT_CONSTELLATION,
     INSERT_FRAME,
     INSERT_KEYFRAME,
     INSERT_REGION,
     INSERT_VIEW,
     decode_candidate,
+    decode_constellation,
     decode_frame,
     decode_keyframe,
     decode_loop,
@@ -37,6 +39,7 @@ from slam_bof.store.row_codec import (
     decode_smoothed_scene,
     decode_view,
     encode_candidate,
+    encode_constellation,
     encode_edge,
     encode_frame,
     encode_keyframe,
@@ -57,6 +60,7 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Loop,
+    SavedConstellation,
     Scene,
     SubsampledDepth,
 )
@@ -149,6 +153,10 @@ class MapStore(MapDatabase):
             update_checksums(db, "keyframes", "id = ?", keyframe.id)
             db.execute(INSERT_VIEW, encode_view(keyframe.id, record.depth))
             update_checksums(db, "views", "keyframe_id = ?", keyframe.id)
+            if record.constellation is not None:
+                values = encode_constellation(keyframe.id, record.constellation)
+                db.execute(INSERT_CONSTELLATION, values)
+                update_checksums(db, "constellations", "keyframe_id = ?", keyframe.id)
             self._add_frames(db, keyframe.session, first, record.frames)
             self._add_candidates(db, record)
             db.executemany(
@@ -317,6 +325,11 @@ class MapStore(MapDatabase):
             return None
         ((stamp_s,),) = self.select("SELECT stamp_s FROM keyframes WHERE id = ?", keyframe_id)
         return restore_frame(self.depth_of(rows[0]), stamp_s)
+
+    def constellation(self, keyframe_id: int) -> SavedConstellation | None:
+        """Return how a keyframe was described for the search, None if that was not saved."""
+        rows = self.rows("constellations", "WHERE keyframe_id = ?", keyframe_id)
+        return decode_constellation(rows[0]) if rows else None
 
     def loops(self) -> list[Loop]:
         """Return all loops and covisibility edges of the graph, in the order they entered it."""
