@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED
+from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED, SET
 
 if TYPE_CHECKING:
     from slam_bof.evaluation import MethodScores, PlaceQueries
@@ -32,6 +32,7 @@ def places(
     odometry: Annotated[
         str, typer.Option(help="Odometry plug-in used with the recogniser.")
     ] = "kiss-icp",
+    assignments: SET = None,
     seed: SEED = 0,
     curves: Annotated[
         Path | None, typer.Option(help="HTML file to write with the precision-recall curves.")
@@ -43,10 +44,14 @@ def places(
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
-    """Print recall, precision and cost of place recognition, by pose and by overlap."""
+    """Print recall, precision and cost of place recognition, by pose and by overlap.
+
+    Parameters of the recogniser are those of loops.recogniser.
+    """
     from slam_bof.cli.console import Bar, print_json
     from slam_bof.core import registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
+    from slam_bof.slam import config as configs
     from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
 
     names = [RECOGNISER, *registry.names("descriptors")]
@@ -54,6 +59,7 @@ def places(
     for name in chosen:
         if name != RECOGNISER:
             registry.load("descriptors", name)
+    config = configs.override(configs.resolve("indoor"), assignments or [])
     missed: list[MissedQueries] = []
 
     def collect_misses(queries: PlaceQueries, scores: MethodScores) -> None:
@@ -67,6 +73,7 @@ def places(
             training=[registry.open_dataset(path) for path in train or []],
             params=ProtocolParams(every=every, min_age_frames=min_age),
             n_words=n_words,
+            recogniser=config.loops.recogniser,
             odometry=odometry,
             seed=seed,
             on_progress=lambda what, done, total: bar.show(done, total, what),

@@ -51,6 +51,18 @@ def test_coming_back_is_found(twice_round):
     assert rows["bof"]["pose"]["recall_at"]["5"] > 0.6
 
 
+def test_parameters_of_the_recogniser_can_be_set(twice_round):
+    arguments = ("--every", 1, "--min-age", N_ROUND, "--descriptors", "recogniser", "--json")
+    set_ = ("--set", "loops.recogniser.n_aligned=0", "--set", "loops.recogniser.n_followed=0")
+    unaligned = json.loads(evaluate(twice_round, *arguments, *set_).stdout)
+    # Nothing is aligned, so that both rows are of the search index.
+    first, second = (
+        {kind: row[kind]["recall_at"] for kind in ("pose", "overlap")} for row in unaligned
+    )
+    assert first == second
+    assert "n_alligned" in refusal(twice_round, "--set", "loops.recogniser.n_alligned=0")
+
+
 def test_words_can_be_learnt_of_other_sequences(twice_round):
     arguments = ("--every", 1, "--min-age", N_ROUND, "--descriptors", "bof,sift")
     result = evaluate(twice_round, *arguments, "--train", twice_round, "--words", 16)
