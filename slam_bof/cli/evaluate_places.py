@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED, SET
+from slam_bof.cli.options import JOBS, JSON, N_WORDS, QUIET, SCHEDULER, SEED, SET
 
 if TYPE_CHECKING:
     from slam_bof.evaluation import MethodScores, PlaceQueries
@@ -41,6 +42,8 @@ def places(
         Path | None,
         typer.Option(help="HTML file to write with the wrong answers."),
     ] = None,
+    jobs: JOBS = 1,
+    scheduler: SCHEDULER = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
@@ -49,7 +52,7 @@ def places(
     Parameters of the recogniser are those of loops.recogniser.
     """
     from slam_bof.cli.console import Bar, print_json
-    from slam_bof.core import registry
+    from slam_bof.core import on_cluster, registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
     from slam_bof.slam import config as configs
     from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
@@ -66,7 +69,10 @@ def places(
         found = find_missed_queries(scores.scores, queries.relevant["overlap"], queries.allowed)
         missed.append(MissedQueries(scores.method, queries.dataset, queries.indices, *found))
 
-    with Bar("Places", quiet=quiet) as bar:
+    with (
+        nullcontext() if scheduler is None else on_cluster(scheduler),
+        Bar("Places", quiet=quiet) as bar,
+    ):
         rows = evaluate_places(
             [registry.open_dataset(path) for path in sequences],
             chosen,
@@ -76,6 +82,7 @@ def places(
             recogniser=config.loops.recogniser,
             odometry=odometry,
             seed=seed,
+            n_jobs=jobs if scheduler is None else None,
             on_progress=lambda what, done, total: bar.show(done, total, what),
             on_scores=collect_misses,
         )
