@@ -23,4 +23,7 @@ def restore_constellation(
     if saved is None or saved.describer != describer_id(params, sensor):
         return None
     view = IndexedView.of_bytes(saved.contours, saved.weight)
-    return view if len(view) <= params.max_contours else None
+    slices = view.rows["slice"]
+    is_plausible = len(view) <= params.max_contours  # of a map that somebody else has written
+    is_plausible &= bool(((slices >= 0) & (slices < params.slices.n_slices)).all())
+    return view if is_plausible else None

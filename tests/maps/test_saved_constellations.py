@@ -134,8 +134,24 @@ def test_merging_keeps_the_constellations(saved, walk, tmp_path):
     assert check_map(tmp_path / "merged.db") == []
 
 
-def test_more_contours_than_parameters_allow_are_not_taken(saved, walk, n_described, tmp_path):
-    """What a foreign map says of itself must not make a search endless."""
-    many = "UPDATE constellations SET contours = zeroblob(38 * 41)"
-    answers(changed(saved, many, tmp_path / "many.db"), walk[10:11])
+IMPOSSIBLE = ["zeroblob(38 * 41)", f"x'{'ff' * 38}'"]
+
+
+@pytest.mark.parametrize("contours", IMPOSSIBLE, ids=["too many", "no such slice"])
+def test_contours_that_cannot_be_are_not_taken(saved, walk, n_described, tmp_path, contours):
+    """What a foreign map says of itself must not make a search fail, or endless."""
+    forged = f"UPDATE constellations SET contours = {contours}"
+    answers(changed(saved, forged, tmp_path / "forged.db"), walk[10:11])
     assert len(n_described) == 1 + n_keyframes(saved)
+
+
+def test_contours_that_are_nonsense_lead_to_no_wrong_answer(saved, walk, n_described, tmp_path):
+    """The panorama still proposes keyframes, and alignment and the map decide."""
+    contours = np.random.default_rng(0).integers(0, 256, (30, 38), np.uint8)
+    contours[:, 28] %= 30  # the slice
+    noise = f"UPDATE constellations SET contours = x'{contours.tobytes().hex()}', weight = 1e17"
+    found = answers(changed(saved, noise, tmp_path / "noise.db"), walk[10:14])
+    assert len(n_described) == 4
+    for one, other in zip(found, answers(saved, walk[10:14]), strict=True):
+        if one.is_known:
+            np.testing.assert_allclose(one.T_map_camera, other.T_map_camera, atol=0.02)
