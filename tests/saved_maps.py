@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from slam_bof.bof import CONTOUR_BYTES
 from slam_bof.geometry import se3
 from slam_bof.store import MapStore, Session
 from slam_bof.types import (
@@ -18,6 +19,7 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Loop,
+    SavedConstellation,
     Scene,
     SubsampledDepth,
 )
@@ -62,6 +64,13 @@ def make_subsampled(id_: int = 0) -> SubsampledDepth:
     return SubsampledDepth(depth, 1000, CAMERA)
 
 
+def make_constellation(id_: int = 0) -> SavedConstellation:
+    rng = np.random.default_rng(id_)
+    gravity = rng.normal(size=3)
+    contours = rng.bytes(CONTOUR_BYTES * (3 + id_ % 4))
+    return SavedConstellation(gravity / np.linalg.norm(gravity), "0a1b", contours, 2.5 + id_)
+
+
 def make_record(
     keyframe: Keyframe,
     candidates: Sequence[Candidate] = (),
@@ -95,6 +104,7 @@ def make_record(
         own,
         tuple(admitted),
         STATE,
+        constellation=make_constellation(keyframe.id),
     )
 
 

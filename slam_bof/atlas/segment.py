@@ -59,9 +59,8 @@ class Segment:
 
 def make_segment(map_id: int, keyframes: DescribedKeyframes) -> Segment:
     """Return a segment of one map."""
-    index = ConstellationIndex.of(keyframes.bofs, keyframes.counts)
     maps = ((map_id, len(keyframes.ids)),)
-    return Segment(maps, index, keyframes.ids, keyframes.R_level_camera)
+    return Segment(maps, keyframes.index, keyframes.ids, keyframes.R_level_camera)
 
 
 def merge_segments(segments: list[Segment]) -> Segment:

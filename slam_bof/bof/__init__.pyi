@@ -42,6 +42,12 @@ from .descriptor import (
     BofParams as BofParams,
     describe as describe,
 )
+from .indexed_view import (
+    CONTOUR_BYTES as CONTOUR_BYTES,
+    IndexedView as IndexedView,
+    describer_id as describer_id,
+    index_view as index_view,
+)
 from .inverted_index import (
     InvertedIndex as InvertedIndex,
 )

@@ -54,7 +54,7 @@ def vote(
         (M,) of which view each is, in ``0 .. n_views - 1``.
     """
     order = np.argsort(views, kind="stable")
-    pairs, views = pairs.take(order), views[order]
+    pairs, views = pairs.take(order), views.take(order)
     counts = np.bincount(views, minlength=n_views)
     starts = np.cumsum(counts) - counts
     at = features(pairs, params)
@@ -64,7 +64,7 @@ def vote(
         some = np.flatnonzero((counts > low) & (counts <= high))
         if len(some):
             winners[some] = _densest(at, pairs.weight, starts[some], counts[some], width)
-    offset = at - at[winners[views]]
+    offset = at - at.take(winners.take(views), axis=0)
     agreement = np.exp(np.float32(-0.5) * np.einsum("ij,ij->i", offset, offset))
     # Each contour of the query counts once, by its best partner.
     first = np.flatnonzero(
@@ -138,7 +138,7 @@ def _densest(
     """Return the row of the densest motion of each view (G,), of rows ``starts`` and on."""
     column = np.arange(width)
     rows = starts[:, None] + np.minimum(column, counts[:, None] - 1)
-    points, voting = at[rows], weight[rows]
+    points, voting = at.take(rows, axis=0), weight.take(rows)
     voting[column >= counts[:, None]] = 0.0
     length2 = np.float32(-0.5) * np.einsum("gwk,gwk->gw", points, points)
     tried = points[:, :MAX_MOTIONS]

@@ -100,10 +100,10 @@ class Correspondences(NamedTuple):
     height: NDArray[np.float32]
     weight: NDArray[np.float32]
 
-    def take(self, rows: NDArray[Any]) -> Correspondences:
+    def take(self, rows: NDArray[np.integer[Any]]) -> Correspondences:
         """Return some rows."""
         columns: tuple[NDArray[Any], ...] = self
-        return Correspondences(*(column[rows] for column in columns))
+        return Correspondences(*(column.take(rows) for column in columns))
 
 
 def find_correspondences(
@@ -119,12 +119,13 @@ def find_correspondences(
     for k, (start, stop) in enumerate(pairwise(bounds.tolist())):
         similarity[:, start:stop] = turned[k] @ codes[start:stop].T
     kept = np.flatnonzero(similarity.max(axis=0, initial=-1.0) > params.min_similarity)
-    a, b, similarity = a[kept], b[kept], similarity[:, kept]
+    a, b, similarity = a.take(kept), b.take(kept), similarity.take(kept, axis=1)
     yaw, highest = _peak(similarity, yaws)
-    query_m, match_m = query.centroids_m[a], others.centroids_m[b]
+    query_m, match_m = query.centroids_m.take(a), others.centroids_m.take(b)
     shift = match_m - np.exp(1j * yaw).astype(np.complex64) * query_m
-    height = (others.slices[b] - query.slices[a].astype(np.int16)) * np.float32(SLICE_STEP_M)
-    weight = np.sqrt(weights(query)[a] * weights(others)[b])
+    slices_up = others.slices.take(b) - query.slices.take(a).astype(np.int16)
+    height = slices_up * np.float32(SLICE_STEP_M)
+    weight = np.sqrt(weights(query).take(a) * weights(others).take(b))
     weight *= (highest - np.float32(params.min_similarity)) / np.float32(1 - params.min_similarity)
     pairs = Correspondences(a, b, query_m, match_m, yaw, shift, height.astype(np.float32), weight)
     return pairs.take(np.flatnonzero(np.abs(shift) < params.max_distance_m))
@@ -140,7 +141,9 @@ def _candidates(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the pairs (M,), (M,) of contours of about one height, size and mean radius."""
     order = np.argsort(others.slices, kind="stable")
-    slices, log_radii, means = others.slices[order], others.log_radii[order], others.means[order]
+    slices, log_radii, means = (
+        column.take(order) for column in (others.slices, others.log_radii, others.means)
+    )
     low = np.searchsorted(slices, query.slices - params.max_slices)
     high = np.searchsorted(slices, query.slices + params.max_slices, side="right")
     counts = high - low
@@ -150,7 +153,8 @@ def _candidates(
     near = np.abs(np.repeat(query.log_radii, counts) - log_radii.take(b)) < log_ratio
     difference = np.repeat(query.means, counts) - means.take(b)
     near &= np.abs(difference) < np.float32(params.max_mean_difference)
-    return np.repeat(np.arange(len(counts)), counts)[near], order[b[near]]
+    kept = np.flatnonzero(near)
+    return np.repeat(np.arange(len(counts)), counts).take(kept), order.take(b.take(kept))
 
 
 def _peak(

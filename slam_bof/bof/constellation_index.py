@@ -9,40 +9,39 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
+from slam_bof.bof.constellation import PlacedBofs
 from slam_bof.bof.constellation_consensus import Motions, fit_motions, vote
 from slam_bof.bof.constellation_correspondences import (
     MatchingParams,
     find_correspondences,
     weights,
 )
-from slam_bof.bof.constellation_packing import PACKED, pack_constellation, unpack_constellation
+from slam_bof.bof.constellation_packing import (
+    PACKED,
+    pack_constellation,
+    packed_places,
+    unpack_constellation,
+)
+from slam_bof.bof.indexed_view import IndexedView, index_view
 from slam_bof.bof.motion_votes import MAX_VIEWS, MotionVotes, count_votes, phases
 from slam_bof.bof.posting_lists import PostingLists, Postings, join_postings
+from slam_bof.bof.shape_cells import contour_keys, key_ranges
 from slam_bof.core import GrowingArray
 from slam_bof.types import Params
 
 __all__ = ["ConstellationIndex", "Found", "IndexParams"]
 
-LOG_SMALLEST = np.log(0.1)
-CELL_WIDTHS = np.array([0.2, 0.07, 0.07], np.float32)
-"""Of the logarithm of the size, and of the magnitudes of the second and third harmonic."""
-N_CELLS = np.array([24, 8, 5])
 SLICES_APART = (-1, 0, 1)
 """Slices that are looked in; more would hardly add, for things stand in several."""
 OWN_SLICE = (0,)
 NO_NUMBERS = np.empty(0, np.int32)
 NO_POSTINGS = Postings(NO_NUMBERS, NO_NUMBERS, NO_NUMBERS, np.empty((0, 2), np.uint8))
-MEAN_LEVELS = 256
-MEAN_REACH = 15
-"""Levels that means may differ by."""
 
 
 class IndexParams(Params):
@@ -130,7 +129,9 @@ class ConstellationIndex:
         index, rows = cls(params), pack_constellation(bofs)
         views = np.repeat(np.arange(len(counts)), counts)
         totals = np.bincount(views, weights(bofs), len(counts)).astype(np.float32)
-        index._hold(rows, np.append(0, np.cumsum(counts)), totals, _postings(bofs, rows, views))
+        keys, places = contour_keys(bofs, rows["mean"]), packed_places(rows)
+        postings = Postings(keys, views.astype(np.int32), places, phases(bofs))
+        index._hold(rows, np.append(0, np.cumsum(counts)), totals, postings.sorted())
         return index
 
     @classmethod
@@ -178,6 +179,10 @@ class ConstellationIndex:
         self._totals, self._postings = GrowingArray.of(totals), PostingLists.of(postings)
 
     def add(self, bofs: PlacedBofs) -> int:
+        """Hold another view, and return its id; see ``add_view``."""
+        return self.add_view(index_view(bofs))
+
+    def add_view(self, view: IndexedView) -> int:
         """Hold another view, and return its id: 0, 1, 2 ...
 
         Raises
@@ -188,11 +193,11 @@ class ConstellationIndex:
         view_id = len(self)
         if view_id >= MAX_VIEWS:
             raise ValueError(f"an index holds at most {MAX_VIEWS} views")
-        rows = pack_constellation(bofs)
-        self._rows.extend(rows)
+        self._rows.extend(view.rows)
         self._starts.append(len(self._rows))
-        self._totals.append(weights(bofs).sum())
-        self._postings.add(_postings(bofs, rows, np.full(len(rows), view_id)))
+        self._totals.append(view.total)
+        ids = np.full(len(view), view_id, np.int32)
+        self._postings.add(Postings(view.keys, ids, packed_places(view.rows), view.phases))
         return view_id
 
     def pop(self) -> None:
@@ -237,7 +242,7 @@ class ConstellationIndex:
         """Return the same, and what the votes (m,) for each are worth."""
         voters = MotionVotes(query)
         is_small = len(self) <= self.params.max_views_beside
-        contours, low, high = _ranges(query, SLICES_APART if is_small else OWN_SLICE)
+        contours, low, high = key_ranges(query, SLICES_APART if is_small else OWN_SLICE)
         lists = self._postings.lists()
         begins = [np.searchsorted(postings.keys, low) for postings in lists]
         counts = [
@@ -276,54 +281,3 @@ class ConstellationIndex:
         scores = votes.worth / np.maximum(total, np.float32(1e-6))
         best = np.argsort(-scores, kind="stable")
         return Found(views[best], scores[best], fit_motions(votes, best, p))
-
-
-def _postings(
-    bofs: PlacedBofs, rows: NDArray[np.void], views: NDArray[np.integer[Any]]
-) -> Postings:
-    """Return the postings, not sorted, of contours (C,) that are packed in ``rows`` (C,)."""
-    shape = np.clip(np.floor(_shape(bofs)), 0, N_CELLS - 1).astype(np.int64)
-    keys = _first_key(bofs.slices, shape) + rows["mean"]
-    places = np.ascontiguousarray(rows["place"]).view(np.int32)[:, 0]
-    return Postings(keys.astype(np.int32), views.astype(np.int32), places, phases(bofs))
-
-
-def _shape(bofs: PlacedBofs) -> NDArray[np.float32]:
-    """Return what cells are made of, in widths of cells: size and two magnitudes, (C, 3)."""
-    half = N_HARMONICS
-    magnitudes = np.hypot(bofs.codes[:, 2:4], bofs.codes[:, half + 2 : half + 4])
-    size = bofs.log_radii - np.float32(LOG_SMALLEST)
-    return np.asarray(np.concatenate([size[:, None], magnitudes], axis=1) / CELL_WIDTHS)
-
-
-def _first_key(slices: NDArray[np.integer[Any]], shape: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the first key of cells (C,) of slice (C,) and shape (C, 3)."""
-    key = slices.astype(np.int64)
-    for n_cells, along in zip(N_CELLS, shape.T, strict=True):
-        key = key * n_cells + along
-    return key * MEAN_LEVELS
-
-
-def _ranges(
-    query: PlacedBofs, slices_apart: tuple[int, ...]
-) -> tuple[NDArray[np.intp], NDArray[np.int32], NDArray[np.int32]]:
-    """Return contours (R,) and ranges of keys (R,), (R,) to look each up in.
-
-    Slices are those so many apart from a contour's own. Along each axis of its shape, cells are the
-    two that are nearest.
-    """
-    at = np.clip(_shape(query), 0, N_CELLS - 0.01)
-    beside = np.array(list(product(slices_apart, *[(0, 1)] * len(N_CELLS))))
-    shape = np.floor(at - 0.5).astype(np.int64) + beside[:, None, 1:]
-    slices = query.slices.astype(np.int64) + beside[:, None, 0]
-    inside = (slices >= 0) & ((shape >= 0) & (shape < N_CELLS)).all(axis=-1)
-    contours = np.nonzero(inside)[1]
-    first = _first_key(slices[inside], shape[inside])
-    level = np.rint(query.means * (MEAN_LEVELS - 1)).astype(np.int64)
-    low = np.maximum(level - MEAN_REACH, 0)
-    high = np.minimum(level + MEAN_REACH + 1, MEAN_LEVELS)
-    # Of the type of the keys, which would be converted otherwise.
-    low, high = ((first + level[contours]).astype(np.int32) for level in (low, high))
-    # In order, each search goes on where the one before has been.
-    order = np.argsort(low, kind="stable")
-    return contours[order], low[order], high[order]

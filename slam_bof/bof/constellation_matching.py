@@ -60,7 +60,7 @@ def match_constellations(
         agrees = votes.agreement > MIN_AGREEMENT
         inliers = np.stack([votes.pairs.query[agrees], votes.pairs.match[agrees]], axis=1)
         hypotheses.append(PoseHypothesis(score, T, inliers))
-        pairs = votes.pairs.take(~agrees)
+        pairs = votes.pairs.take(np.flatnonzero(~agrees))
     return hypotheses
 
 

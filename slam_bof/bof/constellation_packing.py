@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
 
-__all__ = ["PACKED", "STEPS_PER_M", "pack_constellation", "unpack_constellation"]
+__all__ = [
+    "PACKED",
+    "STEPS_PER_M",
+    "pack_constellation",
+    "packed_places",
+    "unpack_constellation",
+]
 
 PACKED = np.dtype(
     [
@@ -48,6 +54,11 @@ def pack_constellation(bofs: PlacedBofs) -> NDArray[np.void]:
     ):
         rows[name] = np.clip(np.rint((logarithm - lowest) / step), 0, 255)
     return rows
+
+
+def packed_places(rows: NDArray[np.void]) -> NDArray[np.int32]:
+    """Return the places (C,) of packed contours, x in the lower 16 bits and z in the upper ones."""
+    return np.ascontiguousarray(rows["place"]).view(np.int32)[:, 0]
 
 
 def unpack_constellation(rows: NDArray[np.void]) -> PlacedBofs:

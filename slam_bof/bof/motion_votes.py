@@ -21,15 +21,16 @@ YAWS = (
     np.arange(256, dtype=np.uint8).view(np.int8) * (2 * np.pi / 256) / np.array(HARMONICS)[:, None]
 )
 """Told by each harmonic, of a difference of phases in 256 to the circle."""
-TURNS = np.exp(1j * YAWS)
-MAX_YAW_RAD = np.radians(66.0)
-YAW_CELL_RAD = np.radians(20.0)
+TURNS = np.exp(1j * YAWS).reshape(-1)
+IS_TOO_FAR = (np.abs(YAWS) > np.radians(66.0)).reshape(-1)
+YAW_CELLS = np.rint(YAWS / np.radians(20.0)).reshape(-1) + 3
 PIVOT_M = 2.0
 """Turns are about a point so far ahead, where contours are, so that a wrong yaw moves them less."""
 CELL_BITS = 6
 """A cell is 2^6 steps wide, half a metre."""
 AXIS_BITS = 4
 """16 cells along x and z."""
+YAW_CELL_BITS = YAW_CELLS.astype(np.uint32) << np.uint32(2 * AXIS_BITS)
 MOTION_BITS = 3 + 2 * AXIS_BITS
 MAX_VIEWS = 2 ** (32 - MOTION_BITS)
 FAR = np.uint32(0x10001 * (0xFFFF & -(2 ** (AXIS_BITS + CELL_BITS))))
@@ -58,17 +59,15 @@ class MotionVotes:
         own = phases(bofs)[np.arange(len(codes)), self._harmonic]
         # For each phase that another contour may have: the yaw, and where this one comes to lie,
         # plus what makes its cell's number of the distance to the other.
-        of_phase = self._harmonic[:, None], own[:, None] - np.arange(256, dtype=np.uint8)
-        yaw = YAWS[of_phase]
-        turned = TURNS[of_phase] * (bofs.centroids_m[:, None] - 1j * PIVOT_M) + 1j * PIVOT_M
+        of_phase = 256 * self._harmonic[:, None] + (own[:, None] - np.arange(256, dtype=np.uint8))
+        turned = TURNS.take(of_phase) * (bofs.centroids_m[:, None] - 1j * PIVOT_M) + 1j * PIVOT_M
         turned *= STEPS_PER_M
         middle = 2 ** (AXIS_BITS + CELL_BITS - 1) + 2 ** (CELL_BITS - 1)
         turned -= middle * (1 + 1j)
-        turned[np.abs(yaw) > MAX_YAW_RAD] = NOWHERE
-        places = np.stack([turned.real, turned.imag], axis=-1)
-        self._places = np.rint(places).astype(np.int16).reshape(-1).view(np.int32)
-        yaw_cells = np.rint(yaw / YAW_CELL_RAD) + 3
-        self._yaw_cells = yaw_cells.astype(np.uint32).reshape(-1) << np.uint32(2 * AXIS_BITS)
+        turned[IS_TOO_FAR.take(of_phase)] = NOWHERE
+        places = np.rint(turned.reshape(-1).view(np.float64))
+        self._places = places.astype(np.int16).view(np.int32)
+        self._yaw_cells = YAW_CELL_BITS.take(of_phase).reshape(-1)
 
     def cells(
         self,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import JSON, N_WORDS, QUIET, SEED
+from slam_bof.cli.options import JOBS, JSON, N_WORDS, QUIET, SCHEDULER, SEED, SET
 
 if TYPE_CHECKING:
     from slam_bof.evaluation import MethodScores, PlaceQueries
@@ -32,6 +33,7 @@ def places(
     odometry: Annotated[
         str, typer.Option(help="Odometry plug-in used with the recogniser.")
     ] = "kiss-icp",
+    assignments: SET = None,
     seed: SEED = 0,
     curves: Annotated[
         Path | None, typer.Option(help="HTML file to write with the precision-recall curves.")
@@ -40,13 +42,19 @@ def places(
         Path | None,
         typer.Option(help="HTML file to write with the wrong answers."),
     ] = None,
+    jobs: JOBS = 1,
+    scheduler: SCHEDULER = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
-    """Print recall, precision and cost of place recognition, by pose and by overlap."""
+    """Print recall, precision and cost of place recognition, by pose and by overlap.
+
+    Parameters of the recogniser are those of loops.recogniser.
+    """
     from slam_bof.cli.console import Bar, print_json
-    from slam_bof.core import registry
+    from slam_bof.core import on_cluster, registry
     from slam_bof.evaluation import RECOGNISER, ProtocolParams, evaluate_places
+    from slam_bof.slam import config as configs
     from slam_bof.visualization import MissedQueries, find_missed_queries, write_missed_queries
 
     names = [RECOGNISER, *registry.names("descriptors")]
@@ -54,21 +62,27 @@ def places(
     for name in chosen:
         if name != RECOGNISER:
             registry.load("descriptors", name)
+    config = configs.override(configs.resolve("indoor"), assignments or [])
     missed: list[MissedQueries] = []
 
     def collect_misses(queries: PlaceQueries, scores: MethodScores) -> None:
         found = find_missed_queries(scores.scores, queries.relevant["overlap"], queries.allowed)
         missed.append(MissedQueries(scores.method, queries.dataset, queries.indices, *found))
 
-    with Bar("Places", quiet=quiet) as bar:
+    with (
+        nullcontext() if scheduler is None else on_cluster(scheduler),
+        Bar("Places", quiet=quiet) as bar,
+    ):
         rows = evaluate_places(
             [registry.open_dataset(path) for path in sequences],
             chosen,
             training=[registry.open_dataset(path) for path in train or []],
             params=ProtocolParams(every=every, min_age_frames=min_age),
             n_words=n_words,
+            recogniser=config.loops.recogniser,
             odometry=odometry,
             seed=seed,
+            n_jobs=jobs if scheduler is None else None,
             on_progress=lambda what, done, total: bar.show(done, total, what),
             on_scores=collect_misses,
         )

@@ -21,12 +21,14 @@ __all__ = [
     "FORMAT",
     "FRAMES",
     "INTRINSICS",
+    "JOBS",
     "JSON",
     "MAP",
     "MAX_FRAMES",
     "N_WORDS",
     "OUT",
     "QUIET",
+    "SCHEDULER",
     "SEED",
     "SET",
     "SOURCE",
@@ -46,6 +48,16 @@ def finite(value: float | None) -> float | None:
     return value
 
 
+JOBS = Annotated[
+    int, typer.Option("--jobs", "-j", min=1, help="Number of sequences processed at a time.")
+]
+SCHEDULER = Annotated[
+    str | None,
+    typer.Option(
+        metavar="tcp://HOST:PORT",
+        help="Process several sequences on the Dask cluster of this scheduler (extra dask).",
+    ),
+]
 JSON = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 SET = Annotated[

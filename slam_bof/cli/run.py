@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slam_bof.cli.inputs import map_file, open_sequence
-from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
+from slam_bof.cli.options import FRAMES, JOBS, JSON, MAX_FRAMES, OUT, QUIET, SCHEDULER, SET
 from slam_bof.cli.run_many import run_many
 from slam_bof.errors import ConfigError
 
@@ -92,16 +92,8 @@ def run(
     z_up: Annotated[
         bool, typer.Option("--z-up", help="Write map.ply in a frame with z up, 0 on the floor.")
     ] = False,
-    jobs: Annotated[
-        int, typer.Option("--jobs", "-j", min=1, help="Number of sequences run at a time.")
-    ] = 1,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(
-            metavar="tcp://HOST:PORT",
-            help="Run several sequences on the Dask cluster of this scheduler (extra dask).",
-        ),
-    ] = None,
+    jobs: JOBS = 1,
+    scheduler: SCHEDULER = None,
     view: Annotated[
         str | None,
         typer.Option(

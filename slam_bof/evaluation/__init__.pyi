@@ -1,3 +1,7 @@
+from .cost import (
+    Cost as Cost,
+    one_thread as one_thread,
+)
 from .holdout_training import (
     TrainedSceneModel as TrainedSceneModel,
     train_scene_model as train_scene_model,

@@ -12,7 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from slam_bof.bof import InvertedIndex
 from slam_bof.loops.params import LoopParams
 from slam_bof.places import PlaceRecogniser
-from slam_bof.types import Candidate, CandidateSource, Decision, DepthFrame, Keyframe, Pose
+from slam_bof.types import (
+    Candidate,
+    CandidateSource,
+    Decision,
+    DepthFrame,
+    Keyframe,
+    Pose,
+    SavedConstellation,
+)
 
 __all__ = ["BagRanking", "Found", "Ranking", "ViewRanking"]
 
@@ -33,11 +41,17 @@ class Found:
 class Ranking(Protocol):
     """A method that ranks older keyframes by their similarity to a new one."""
 
+    @property
+    def newest(self) -> SavedConstellation | None:
+        """The constellation of the keyframe stored last, None if the method uses none."""
+
     def rank(self, keyframe: Keyframe, frame: DepthFrame, n_older: int) -> Found:
         """Return the best of the first ``n_older`` keyframes, and store this one."""
 
-    def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
-        """Store a keyframe without a search."""
+    def remember(
+        self, keyframe: Keyframe, frame: DepthFrame, saved: SavedConstellation | None = None
+    ) -> None:
+        """Store a keyframe without a search, as it was ``saved`` by ``newest``."""
 
     def deactivate(self) -> None:
         """Exclude the newest keyframe from later searches."""
@@ -57,6 +71,8 @@ class Ranking(Protocol):
 
 class BagRanking:
     """Ranks keyframes by eta of their bags, as in the paper."""
+
+    newest = None
 
     def __init__(self, params: LoopParams, n_words: int) -> None:
         self._params = params
@@ -87,7 +103,9 @@ class BagRanking:
         self.remember(keyframe, frame)
         return found
 
-    def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
+    def remember(
+        self, keyframe: Keyframe, frame: DepthFrame, saved: SavedConstellation | None = None
+    ) -> None:
         """Store the bag of the keyframe."""
         self._index.add(keyframe.bag)
         self._stamps_s.append(keyframe.stamp_s)
@@ -148,9 +166,16 @@ class ViewRanking:
             candidates, {c.match_id: matches[c.match_id].T_match_query for c in candidates}
         )
 
-    def remember(self, keyframe: Keyframe, frame: DepthFrame) -> None:
+    def remember(
+        self, keyframe: Keyframe, frame: DepthFrame, saved: SavedConstellation | None = None
+    ) -> None:
         """Store the view of the keyframe."""
-        self._recogniser.add(frame, keyframe.T_odom_camera)
+        self._recogniser.add(frame, keyframe.T_odom_camera, saved)
+
+    @property
+    def newest(self) -> SavedConstellation | None:
+        """The constellation of the keyframe stored last."""
+        return self._recogniser.newest
 
     def deactivate(self) -> None:
         """Exclude the newest view from later searches."""

@@ -31,6 +31,7 @@ from slam_bof.types import (
     EdgeKind,
     Keyframe,
     Loop,
+    SavedConstellation,
     Scene,
 )
 
@@ -126,11 +127,20 @@ class LoopDetector:
         self._store(keyframe, [c.match_id for c in checked])
         return replace(found, candidates=checked)
 
+    @property
+    def newest(self) -> SavedConstellation | None:
+        """The constellation of the keyframe stored last, None with bags."""
+        return self._ranking.newest
+
     def remember(
-        self, keyframe: Keyframe, frame: DepthFrame, candidates: Sequence[Candidate]
+        self,
+        keyframe: Keyframe,
+        frame: DepthFrame,
+        candidates: Sequence[Candidate],
+        constellation: SavedConstellation | None = None,
     ) -> None:
-        """Store a keyframe of a saved map with the candidates that were found for it."""
-        self._ranking.remember(keyframe, frame)
+        """Store a keyframe of a saved map with what was found of it: candidates, constellation."""
+        self._ranking.remember(keyframe, frame, constellation)
         self._store(
             keyframe, [c.match_id for c in candidates if c.source != CandidateSource.PROXIMITY]
         )

@@ -14,7 +14,15 @@ from slam_bof.places import Localization, Localizer
 from slam_bof.scenes import Labeller, model as models
 from slam_bof.slam import Config, config as configs
 from slam_bof.store import MapStore, choose_component, components_of
-from slam_bof.types import Array, DepthFrame, Intrinsics, Keyframe, Scene, SensorParams
+from slam_bof.types import (
+    Array,
+    DepthFrame,
+    Intrinsics,
+    Keyframe,
+    SavedConstellation,
+    Scene,
+    SensorParams,
+)
 
 __all__ = ["LocalizedFrame", "MapLocalizer", "SearchedMap", "load_searched"]
 
@@ -37,8 +45,8 @@ class LocalizedFrame:
 class SearchedMap(NamedTuple):
     """What images are compared with in a map: keyframes, their depth images and poses (K, 4, 4).
 
-    ``config`` is that of the last session, ``model_hash`` the model of the map, and ``component``
-    that of the keyframes.
+    ``constellations`` are None where none was saved. ``config`` is that of the last session,
+    ``model_hash`` the model of the map, and ``component`` that of the keyframes.
     """
 
     config: Config
@@ -46,6 +54,7 @@ class SearchedMap(NamedTuple):
     camera: Intrinsics
     keyframes: list[Keyframe]
     frames: list[DepthFrame]
+    constellations: list[SavedConstellation | None]
     T_map_camera: Array
     component: int
 
@@ -92,6 +101,7 @@ def load_searched(path: Path, component: int | None = None) -> SearchedMap:
             camera,
             [keyframes[k] for k in searched],
             frames,
+            [store.constellation(k) for k in searched.tolist()],
             T_map_camera[searched],
             int(components_of(store)[inside][0]),
         )
@@ -156,8 +166,9 @@ class MapLocalizer:
             seed=config.seed,
         )
         own = {int(keyframe.id): keyframe for keyframe in found.keyframes}
-        for id_, frame, T_map_camera in zip(own, found.frames, found.T_map_camera, strict=True):
-            localizer.add(frame, T_map_camera, name=id_)
+        columns = (own, found.frames, found.T_map_camera, found.constellations)
+        for id_, frame, T_map_camera, saved in zip(*columns, strict=True):
+            localizer.add(frame, T_map_camera, name=id_, constellation=saved)
         labeller = model.labeller(config.labels.by)
         return cls(localizer, own, labeller, found.camera, config.sensor, found.component)
 

@@ -145,6 +145,7 @@ def _add_session(
                 admitted=tuple(verified.admitted),
                 culled=culled,
                 state={},
+                constellation=keyframes.newest_constellation,
             )
         )
     return frames[start:]

@@ -9,3 +9,7 @@ from .recogniser import (
     Compare as Compare,
     PlaceRecogniser as PlaceRecogniser,
 )
+from .saved_constellations import (
+    restore_constellation as restore_constellation,
+    save_constellation as save_constellation,
+)

@@ -31,7 +31,7 @@ from slam_bof.places.pose_hypotheses import (
 )
 from slam_bof.places.recogniser import PlaceMatch, PlaceRecogniser
 from slam_bof.ports import Verifier
-from slam_bof.types import DepthFrame, Params, Pose, SensorParams
+from slam_bof.types import DepthFrame, Params, Pose, SavedConstellation, SensorParams
 
 __all__ = ["Localization", "LocalizationParams", "Localizer"]
 
@@ -169,6 +169,7 @@ class Localizer:
         T_odom_camera: Pose | None = None,
         *,
         name: int | None = None,
+        constellation: SavedConstellation | None = None,
     ) -> int:
         """Add the next keyframe, and return its id: 0, 1, 2 ...
 
@@ -185,6 +186,8 @@ class Localizer:
             gravity. The default is ``T_map_camera``.
         name
             The id that answers give for the keyframe, by default the one that is returned.
+        constellation
+            What the map has saved of the keyframe, so that it is not described again.
 
         Raises
         ------
@@ -195,7 +198,7 @@ class Localizer:
         T_map_camera = se3.checked_pose(T_map_camera)
         frame = frame.with_sensor(self._sensor)
         with self._lock:
-            keyframe_id = self._recogniser.add(frame, T_odom_camera)
+            keyframe_id = self._recogniser.add(frame, T_odom_camera, constellation)
             self._registration.add(frame, keyframe_id if name is None else name)
             self._T_map_camera.append(T_map_camera)
         return keyframe_id

@@ -17,23 +17,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slam_bof.bof import (
-    camera_motions,
-    describe_constellation,
-)
+from slam_bof.bof import camera_motions, index_view, place_bofs
 from slam_bof.core import GrowingArray, one_blas_thread
 from slam_bof.geometry import (
     Agreement,
     GravityTracker,
     ViewAligner,
+    level_frame,
     make_view,
     se3,
     view_points,
 )
 from slam_bof.places.followed_matches import FollowedMatches
 from slam_bof.places.params import RecogniserParams
+from slam_bof.places.saved_constellations import restore_constellation, save_constellation
 from slam_bof.places.view_index import ViewIndex
-from slam_bof.types import Array, DepthFrame, Pose
+from slam_bof.types import Array, DepthFrame, Pose, SavedConstellation
 
 __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser"]
 
@@ -88,6 +87,8 @@ class PlaceRecogniser:
     ----------
     aligner
         Stores the views by their ids, and measures how far they agree.
+    newest
+        The constellation of the view added last, to be saved for ``add``.
 
     Examples
     --------
@@ -108,18 +109,25 @@ class PlaceRecogniser:
     ) -> None:
         self.params = params or RecogniserParams()
         self._gravity = GravityTracker(gravity_odom, self.params.gravity, never_lost=never_lost)
+        self._never_lost = never_lost
         self._index = ViewIndex(self.params.search)
         self._R_level_camera = GrowingArray((3, 3), np.float64)
         self._followed = FollowedMatches()
         self.aligner = ViewAligner(self.params.alignment, seed=seed)
+        self.newest: SavedConstellation | None = None
 
     def __len__(self) -> int:
         """Return the number of stored views."""
         return len(self._R_level_camera)
 
     @one_blas_thread()
-    def add(self, frame: DepthFrame, T_odom_camera: Pose) -> int:
+    def add(
+        self, frame: DepthFrame, T_odom_camera: Pose, saved: SavedConstellation | None = None
+    ) -> int:
         """Store a view, and return its id: 0, 1, 2 ...
+
+        A view that was ``saved`` is not described again, unless parameters have changed. It is
+        levelled as it was then.
 
         Raises
         ------
@@ -127,8 +135,11 @@ class PlaceRecogniser:
             If the pose is no finite rigid transform, or the frame is of another camera.
         """
         T_odom_camera = se3.checked_pose(T_odom_camera)
-        gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
-        return self._add(frame, T_odom_camera, gravity_camera)
+        if saved is None or not self._never_lost:  # gravity is tracked on through a session
+            gravity_camera = self._gravity.update(make_view(frame).known_normals(), T_odom_camera)
+        if saved is not None:
+            gravity_camera = saved.gravity_camera
+        return self._add(frame, T_odom_camera, gravity_camera, saved)
 
     @contextmanager
     def temporary_query(
@@ -290,13 +301,23 @@ class PlaceRecogniser:
         return ids, np.concatenate([starts[:n_listed], poses])
 
     @one_blas_thread()
-    def _add(self, frame: DepthFrame, T_odom_camera: Pose, gravity_camera: Array) -> int:
-        described = describe_constellation(frame, gravity_camera, self.params.constellation)
+    def _add(
+        self,
+        frame: DepthFrame,
+        T_odom_camera: Pose,
+        gravity_camera: Array,
+        saved: SavedConstellation | None = None,
+    ) -> int:
+        p, R_level_camera = self.params.constellation, level_frame(gravity_camera)
+        points_level = view_points(frame) @ R_level_camera.T.astype(np.float32)
+        view = restore_constellation(saved, p, frame.sensor)
+        if view is None:
+            view = index_view(place_bofs(points_level, p))
+        self.newest = save_constellation(view, gravity_camera, p, frame.sensor)
         self.aligner.add(make_view(frame))
         self._followed.add(T_odom_camera)
-        self._R_level_camera.append(described.R_level_camera)
-        points_level = view_points(frame) @ described.R_level_camera.T.astype(np.float32)
-        self._index.add(len(self) - 1, described.bofs, points_level)
+        self._R_level_camera.append(R_level_camera)
+        self._index.add(len(self) - 1, view, points_level)
         return len(self) - 1
 
     def _score(self, T_match_query: Array, agreement: Array) -> Array:

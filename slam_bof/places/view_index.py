@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.bof import ConstellationIndex, IndexParams, Motions, PlacedBofs
+from slam_bof.bof import ConstellationIndex, IndexedView, IndexParams, Motions
 from slam_bof.core import GrowingArray
 from slam_bof.places.range_panorama import Panorama
 from slam_bof.types import Params
@@ -81,9 +81,9 @@ class ViewIndex:
         """Size of all stored views in bytes."""
         return self._index.nbytes + self._panoramas.rows.nbytes
 
-    def add(self, view_id: int, bofs: PlacedBofs, points_level: NDArray[np.float32]) -> None:
+    def add(self, view_id: int, view: IndexedView, points_level: NDArray[np.float32]) -> None:
         """Add a view with its levelled points (N, 3). Ids must increase."""
-        self._index.add(bofs)
+        self._index.add_view(view)
         packed, step = self._panorama.pack(self._panorama.spectrum(points_level))
         self._panoramas.append(packed)
         self._steps.append(step)

@@ -43,6 +43,7 @@ from slam_bof.types import (
     KeyframeRecord,
     Loop,
     Pose,
+    SavedConstellation,
 )
 
 __all__ = ["KeyframeMap"]
@@ -173,6 +174,11 @@ class KeyframeMap:
         """Number of pairs in this session that were registered without an initial pose."""
         return self._verification.n_global_registrations
 
+    @property
+    def newest_constellation(self) -> SavedConstellation | None:
+        """How the newest keyframe was described for the search, None with bags."""
+        return self._detector.newest
+
     def begin_session(self) -> None:
         """Begin a session with another odometry frame. Its clock may restart."""
         self.session += 1
@@ -283,7 +289,7 @@ class KeyframeMap:
                 segment=keyframe.segment,
             )
         self.keyframes.append(keyframe)
-        self._detector.remember(keyframe, frame, record.candidates)
+        self._detector.remember(keyframe, frame, record.candidates, record.constellation)
         self.graph.add_keyframe(keyframe)
         self._verification.add(frame, points_camera(frame, self._cloud_params(frame)))
         loops = [loop for loop in record.measured if loop.kind == EdgeKind.LOOP]

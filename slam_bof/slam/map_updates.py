@@ -53,6 +53,7 @@ class MapUpdates:
                 admitted=tuple(verified.admitted),
                 culled=update.culled,
                 state=update.state,
+                constellation=update.constellation,
             )
             self._unsaved.append(record)
         self.newest, self.T_map_track = keyframe, update.T_map_track

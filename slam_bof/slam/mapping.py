@@ -13,7 +13,7 @@ from slam_bof.loops import Verified
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.tracking import Track
-from slam_bof.types import DepthFrame, Keyframe, Pose, SubsampledDepth
+from slam_bof.types import DepthFrame, Keyframe, Pose, SavedConstellation, SubsampledDepth
 
 __all__ = ["DirectMapping", "KeyframeJob", "MapUpdate", "Mapping", "map_keyframe"]
 
@@ -39,8 +39,8 @@ class MapUpdate:
     """A keyframe that has come into the map, and the keyframes that were culled with it.
 
     ``T_map_track`` is the correction of its track by the map, and ``trusts_odometry`` says whether
-    the map has found odometry to be about as precise as alignment. ``depth`` and ``state``, of
-    tracking and of the map, are for the journal.
+    the map has found odometry to be about as precise as alignment. ``depth``, ``constellation`` and
+    ``state``, of tracking and of the map, are for the journal.
     """
 
     keyframe: Keyframe
@@ -49,6 +49,7 @@ class MapUpdate:
     T_map_track: Pose
     trusts_odometry: bool
     depth: SubsampledDepth | None
+    constellation: SavedConstellation | None
     state: dict[str, Any]
 
 
@@ -71,6 +72,7 @@ def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
         map_.T_map_track,
         map_.trusts_odometry,
         subsample(job.frame) if job.is_saved else None,
+        map_.newest_constellation if job.is_saved else None,
         {**job.state, "detector": map_.state()} if job.is_saved else {},
     )
 

@@ -20,6 +20,7 @@ NAMES = {
     "sessions": "session",
     "keyframes": "keyframe",
     "views": "depth image of keyframe",
+    "constellations": "constellation of keyframe",
     "frames": "frame, row",
     "candidates": "candidate",
     "regions": "room",

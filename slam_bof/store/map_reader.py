@@ -17,6 +17,7 @@ from slam_bof.store.database import MapDatabase
 from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import (
     decode_candidate,
+    decode_constellation,
     decode_frame,
     decode_keyframe,
     decode_loop,
@@ -35,6 +36,7 @@ from slam_bof.types import (
     Intrinsics,
     Keyframe,
     Loop,
+    SavedConstellation,
     Scene,
     SubsampledDepth,
 )
@@ -174,6 +176,11 @@ class MapReader(MapDatabase):
             return None
         ((stamp_s,),) = self.select("SELECT stamp_s FROM keyframes WHERE id = ?", keyframe_id)
         return restore_frame(self.depth_of(rows[0]), stamp_s)
+
+    def constellation(self, keyframe_id: int) -> SavedConstellation | None:
+        """Return how a keyframe was described for the search, None if that was not saved."""
+        rows = self.rows("constellations", "WHERE keyframe_id = ?", keyframe_id)
+        return decode_constellation(rows[0]) if rows else None
 
     def loops(self) -> list[Loop]:
         """Return all loops and covisibility edges of the graph, in the order they entered it."""

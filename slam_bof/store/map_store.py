@@ -17,11 +17,13 @@ from slam_bof.scenes import MapRoom
 from slam_bof.store.map_reader import MapReader, Session
 from slam_bof.store.row_codec import (
     INSERT_CANDIDATE,
+    INSERT_CONSTELLATION,
     INSERT_FRAME,
     INSERT_KEYFRAME,
     INSERT_REGION,
     INSERT_VIEW,
     encode_candidate,
+    encode_constellation,
     encode_edge,
     encode_frame,
     encode_keyframe,
@@ -102,6 +104,10 @@ class MapStore(MapReader):
             update_checksums(db, "keyframes", "id = ?", keyframe.id)
             db.execute(INSERT_VIEW, encode_view(keyframe.id, record.depth))
             update_checksums(db, "views", "keyframe_id = ?", keyframe.id)
+            if record.constellation is not None:
+                values = encode_constellation(keyframe.id, record.constellation)
+                db.execute(INSERT_CONSTELLATION, values)
+                update_checksums(db, "constellations", "keyframe_id = ?", keyframe.id)
             self._add_frames(db, keyframe.session, first, record.frames)
             self._add_candidates(db, record)
             db.executemany(

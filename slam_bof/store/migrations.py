@@ -8,6 +8,7 @@ from pathlib import Path
 from slam_bof.errors import MapError
 from slam_bof.store.row_checks import find_fault
 from slam_bof.store.schema import (
+    CONSTELLATIONS_TABLE,
     CULLED_TABLE,
     KEY_COLUMNS,
     POSE_COLUMNS,
@@ -33,7 +34,8 @@ CREATE TABLE regions (
 """
 
 _OLD = ("keyframes", "candidates", "regions", "parameters", "loops")
-_TABLES_4 = tuple(name for name in KEY_COLUMNS if name != "culled")
+_TABLES_5 = tuple(name for name in KEY_COLUMNS if name != "constellations")
+_TABLES_4 = tuple(name for name in _TABLES_5 if name != "culled")
 _OLD_VIEWS = ("keyframe_labels", "loop_audit")
 
 _TO_4 = f"""
@@ -70,7 +72,7 @@ DROP TABLE old_keyframes; DROP TABLE old_parameters;
 {VIEWS}
 """
 
-MIGRATABLE_VERSIONS = (2, 3, 4)
+MIGRATABLE_VERSIONS = (2, 3, 4, 5)
 """Older schema versions that can be migrated."""
 
 
@@ -87,7 +89,8 @@ def migrate(
     MapError
         If it has triggers or other additions, or, with ``in_place``, is damaged.
     """
-    tables, views = (_TABLES_4, (*_OLD_VIEWS, "loops")) if version == 4 else (_OLD, _OLD_VIEWS)
+    views = (*_OLD_VIEWS, "loops") if version >= 4 else _OLD_VIEWS
+    tables = {4: _TABLES_4, 5: _TABLES_5}.get(version, _OLD)
     expected = {("table", name) for name in tables} | {("view", name) for name in views}
     statements = db.execute(STATEMENTS).fetchall()
     if added := find_additions(expected, map(tuple, statements)):
@@ -101,8 +104,9 @@ def migrate(
     db.execute("PRAGMA foreign_keys = OFF")
     db.execute("PRAGMA legacy_alter_table = ON")
     try:
-        if version == 4:
-            db.executescript("BEGIN;" + CULLED_TABLE)
+        if version >= 4:
+            culled = CULLED_TABLE if version == 4 else ""
+            db.executescript("BEGIN;" + culled + CONSTELLATIONS_TABLE)
         else:
             _migrate_to_4(db, version, path, in_place=in_place)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")

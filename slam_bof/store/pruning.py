@@ -25,6 +25,7 @@ __all__ = ["drop_keyframes", "find_redundant_keyframes", "prune_map"]
 
 REFERENCES = (
     ("views", "keyframe_id"),
+    ("constellations", "keyframe_id"),
     ("candidates", "query_id"),
     ("candidates", "match_id"),
     ("candidates", "admitted_by"),
@@ -125,7 +126,8 @@ def drop_keyframes(db: sqlite3.Connection, dropped: Collection[int]) -> None:
         f"DELETE FROM culled WHERE keyframe_id NOT IN {known} OR anchor_id NOT IN {known}"
         f" OR culled_by NOT IN {known}"
     )
-    db.execute(f"DELETE FROM views WHERE keyframe_id NOT IN {known}")
+    for table in ("views", "constellations"):
+        db.execute(f"DELETE FROM {table} WHERE keyframe_id NOT IN {known}")
     db.execute("DELETE FROM keyframes WHERE id IN gone")
     db.execute("DELETE FROM frames WHERE session NOT IN (SELECT session FROM keyframes)")
     db.execute("DROP TABLE gone")

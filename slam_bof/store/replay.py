@@ -83,4 +83,5 @@ def replay_keyframes(
             admitted=tuple(map(decode_loop, admitted)),
             culled=culled,
             state=states[keyframe.session],
+            constellation=store.constellation(keyframe.id),
         )

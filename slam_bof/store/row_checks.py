@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from slam_bof.bof import CONTOUR_BYTES
 from slam_bof.geometry import se3
 from slam_bof.store.schema import POSE_COLUMNS, SMOOTHED_COLUMNS, TABLES
 from slam_bof.store.sqlite import is_intact
@@ -26,7 +27,7 @@ from slam_bof.types import CandidateSource, Decision, EdgeKind, Intrinsics
 __all__ = ["CHECKSUM_DIFFERS", "POSE_BYTES", "find_fault"]
 
 CHECKSUM_DIFFERS = "differs from what was written (checksum)"
-POSE, MATRIX = struct.Struct("<12d"), struct.Struct("<36d")
+DIRECTION, POSE, MATRIX = struct.Struct("<3d"), struct.Struct("<12d"), struct.Struct("<36d")
 POSE_BYTES, MATRIX_BYTES = POSE.size, MATRIX.size
 """Sizes of a pose (3, 4), and of an information or covariance matrix (6, 6)."""
 MAX_SESSIONS = 100_000
@@ -145,6 +146,17 @@ def _check_view(row: Row) -> None:
     _expect(1 <= per_m <= 65535, "per_m")
 
 
+def _check_constellation(row: Row) -> None:
+    names = ("keyframe_id", "gravity", "contours", "weight")
+    keyframe_id, gravity, contours, weight = _pick("constellations", *names)(row)
+    _expect(keyframe_id >= 0, "keyframe_id")
+    _expect(len(gravity) == DIRECTION.size, "gravity")
+    square = sum(value * value for value in DIRECTION.unpack(gravity))
+    _expect(abs(square - 1.0) < SUM_TOLERANCE, "gravity")
+    _expect(len(contours) % CONTOUR_BYTES == 0, "contours")
+    _expect(weight >= 0.0, "weight")
+
+
 def _check_frame(row: Row) -> None:
     session, frame_index, segment = _pick("frames", "session", "frame_index", "segment")(row)
     _expect(session >= 0 and frame_index >= 0 and segment >= -1, "segment")
@@ -217,6 +229,7 @@ CHECKS: dict[str, Callable[[Row], None]] = {
     "sessions": _check_session,
     "keyframes": _check_keyframe,
     "views": _check_view,
+    "constellations": _check_constellation,
     "frames": _check_frame,
     "candidates": _check_candidate,
     "culled": _check_culled,

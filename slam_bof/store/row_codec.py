@@ -28,17 +28,20 @@ from slam_bof.types import (
     Keyframe,
     Loop,
     Pose,
+    SavedConstellation,
     Scene,
     SubsampledDepth,
 )
 
 __all__ = [
     "INSERT_CANDIDATE",
+    "INSERT_CONSTELLATION",
     "INSERT_FRAME",
     "INSERT_KEYFRAME",
     "INSERT_REGION",
     "INSERT_VIEW",
     "decode_candidate",
+    "decode_constellation",
     "decode_frame",
     "decode_keyframe",
     "decode_loop",
@@ -48,6 +51,7 @@ __all__ = [
     "decode_smoothed_scene",
     "decode_view",
     "encode_candidate",
+    "encode_constellation",
     "encode_edge",
     "encode_frame",
     "encode_keyframe",
@@ -78,6 +82,9 @@ INSERT_KEYFRAME = _insert(
     ],
 )
 INSERT_VIEW = _insert("views", ["keyframe_id", "per_m", "depth"])
+INSERT_CONSTELLATION = _insert(
+    "constellations", ["keyframe_id", "gravity", "describer", "contours", "weight"]
+)
 INSERT_FRAME = _insert(
     "frames",
     [
@@ -175,6 +182,18 @@ def decode_view(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     if depth is None or depth.dtype != np.uint16 or depth.shape != size[::-1]:
         return None
     return SubsampledDepth(np.asarray(depth, np.uint16), row["per_m"], camera)
+
+
+def encode_constellation(keyframe_id: int, saved: SavedConstellation) -> Row:
+    """Return the values of ``INSERT_CONSTELLATION``."""
+    gravity = _to_blob(saved.gravity_camera, "<f8")
+    return int(keyframe_id), gravity, saved.describer, saved.contours, saved.weight
+
+
+def decode_constellation(row: Any) -> SavedConstellation:
+    """Return the constellation in a row of ``constellations``."""
+    gravity_camera = _from_blob(row["gravity"], "<f8")
+    return SavedConstellation(gravity_camera, row["describer"], row["contours"], row["weight"])
 
 
 def encode_frame(session: int, frame_index: int, frame: FramePose) -> Row:

@@ -22,6 +22,12 @@ table           columns
                 ``region``, the id of the room.
 ``views``       ``keyframe_id``; ``depth``, its subsampled depth image as a 16-bit PNG with
                 ``per_m`` units per metre.
+``constellations``
+                How a keyframe was described for the search, so that it need not be described again:
+                ``keyframe_id``; ``gravity``, float64 (3,), the direction down in the camera frame;
+                ``describer``, a hash of the version and the parameters that found the contours;
+                ``contours``, 38 bytes each (``bof.IndexedView``); ``weight`` of all of them.
+                Without a row, as in older maps, a keyframe is described when the map is opened.
 ``frames``      Every frame up to the newest keyframe, and every frame of a finished session:
                 ``id``, ``session``, ``frame_index``, ``stamp_s``; ``segment`` (-1: odometry was
                 lost); ``T_odom_raw`` from odometry and ``T_odom_camera`` corrected by tracking,
@@ -56,6 +62,7 @@ from __future__ import annotations
 __all__ = [
     "APPLICATION_ID",
     "BOX_COLUMNS",
+    "CONSTELLATIONS_TABLE",
     "CULLED_TABLE",
     "KEY_COLUMNS",
     "POSE_COLUMNS",
@@ -64,7 +71,7 @@ __all__ = [
     "SMOOTHED_COLUMNS",
 ]
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 APPLICATION_ID = 0x424F464D
 """Marks a database as a map of slam_bof ("BOFM")."""
 
@@ -85,6 +92,7 @@ KEY_COLUMNS = {
     "sessions": "id",
     "keyframes": "id",
     "views": "keyframe_id",
+    "constellations": "keyframe_id",
     "frames": "id",
     "candidates": "id",
     "culled": "keyframe_id",
@@ -102,6 +110,18 @@ CREATE TABLE culled (
 );
 """
 """Added with version 5."""
+
+CONSTELLATIONS_TABLE = """
+CREATE TABLE constellations (
+    keyframe_id INTEGER PRIMARY KEY REFERENCES keyframes (id),
+    gravity BLOB NOT NULL,
+    describer TEXT NOT NULL,
+    contours BLOB NOT NULL,
+    weight REAL NOT NULL,
+    crc INTEGER
+);
+"""
+"""Added with version 6."""
 
 TABLES = f"""
 CREATE TABLE parameters (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER);
@@ -186,6 +206,7 @@ CREATE TABLE regions (
     crc INTEGER
 );
 {CULLED_TABLE}
+{CONSTELLATIONS_TABLE}
 """
 
 VIEWS = f"""

@@ -9,6 +9,7 @@ from .depth import (
 from .features import (
     Bag as Bag,
     Contours as Contours,
+    SavedConstellation as SavedConstellation,
     Scene as Scene,
 )
 from .keyframes import (

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from slam_bof.types.poses import Array
 
-__all__ = ["Bag", "Contours", "Scene"]
+__all__ = ["Bag", "Contours", "SavedConstellation", "Scene"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +38,21 @@ class Bag:
 
     words: NDArray[np.int32]
     weights: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SavedConstellation:
+    """The BOF constellation of a keyframe as a map keeps it, so that it is not described again.
+
+    ``gravity_camera`` (3,) is the direction down in the camera frame that the keyframe was levelled
+    by. ``describer`` names what found the contours, ``bof.describer_id``. ``contours`` and
+    ``weight`` are those of ``bof.IndexedView``.
+    """
+
+    gravity_camera: Array
+    describer: str
+    contours: bytes
+    weight: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from slam_bof.types.depth import SubsampledDepth
-from slam_bof.types.features import Bag, Scene
+from slam_bof.types.features import Bag, SavedConstellation, Scene
 from slam_bof.types.loops import Candidate, Loop
 from slam_bof.types.poses import Array, FramePose, Pose
 
@@ -50,7 +50,8 @@ class KeyframeRecord:
     that entered the graph with it, in that order: some of ``measured`` may be missing, and held
     loops of earlier keyframes may be among them. ``culled`` are the ids of keyframes that the map
     let go of with it, each with the id of its anchor, which its pose is fixed to. ``state`` is the
-    remaining state of the plug-in as JSON values.
+    remaining state of the plug-in as JSON values. ``constellation`` is None if the keyframe was not
+    described by one.
     """
 
     keyframe: Keyframe
@@ -61,6 +62,7 @@ class KeyframeRecord:
     admitted: tuple[Loop, ...]
     state: dict[str, Any]
     culled: tuple[tuple[int, int], ...] = ()
+    constellation: SavedConstellation | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

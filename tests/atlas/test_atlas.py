@@ -13,7 +13,7 @@ import pytest
 from constellations import seen_again, view
 
 from slam_bof.atlas import Atlas, DescribedKeyframes, atlas as atlas_module
-from slam_bof.bof import Constellation, PlacedBofs
+from slam_bof.bof import Constellation, ConstellationIndex, PlacedBofs
 from slam_bof.errors import AtlasError
 
 LEVEL = np.eye(3, dtype=np.float32)
@@ -24,8 +24,10 @@ def keyframes(first, n):
     views = [view(seed) for seed in range(first, first + n)]
     return DescribedKeyframes(
         np.arange(0, 2 * n, 2, dtype=np.int32),
-        PlacedBofs(*map(np.concatenate, zip(*views, strict=True))),
-        np.array([len(bofs.slices) for bofs in views]),
+        ConstellationIndex.of(
+            PlacedBofs(*map(np.concatenate, zip(*views, strict=True))),
+            np.array([len(bofs.slices) for bofs in views]),
+        ),
         np.tile(LEVEL, (n, 1, 1)),
     )
 

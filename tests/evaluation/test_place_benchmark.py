@@ -1,6 +1,7 @@
 """Place recognition judged end to end, on a sequence that goes round a room twice."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -49,6 +50,51 @@ def test_coming_back_is_found(twice_round):
     for name in recognisers:
         assert rows[name]["pose"]["recall_at"]["1"] > 0.7
     assert rows["bof"]["pose"]["recall_at"]["5"] > 0.6
+
+
+def test_parameters_of_the_recogniser_can_be_set(twice_round):
+    arguments = ("--every", 1, "--min-age", N_ROUND, "--descriptors", "recogniser", "--json")
+    set_ = ("--set", "loops.recogniser.n_aligned=0", "--set", "loops.recogniser.n_followed=0")
+    unaligned = json.loads(evaluate(twice_round, *arguments, *set_).stdout)
+    # Nothing is aligned, so that both rows are of the search index.
+    first, second = (
+        {kind: row[kind]["recall_at"] for kind in ("pose", "overlap")} for row in unaligned
+    )
+    assert first == second
+    assert "n_alligned" in refusal(twice_round, "--set", "loops.recogniser.n_alligned=0")
+
+
+def without_times(rows):
+    return [{name: row[name] for name in row if not name.endswith("_ms")} for row in rows]
+
+
+def test_recall_does_not_depend_on_the_number_of_workers(twice_round, tmp_path):
+    other = shutil.copytree(twice_round, tmp_path / "room" / "seq-02")
+    (other / "frame-000003.depth.png").write_bytes((other / "frame-000009.depth.png").read_bytes())
+    arguments = (twice_round, other, "--every", 2, "--min-age", N_ROUND, "--json")
+    arguments += ("--descriptors", "ferns,thumbnail,gist", "--misses")
+    one, two = (
+        json.loads(evaluate(*arguments, tmp_path / f"{n}.html", "--jobs", n).stdout) for n in (1, 2)
+    )
+    assert without_times(one) == without_times(two)
+    assert [row["sequence"] for row in one] == ["room/seq-01"] * 3 + ["room/seq-02"] * 3
+    assert without_times(one)[:3] != [
+        row | {"sequence": "room/seq-01"} for row in without_times(one)[3:]
+    ]
+    pages = [(tmp_path / f"{n}.html").read_bytes() for n in (1, 2)]
+    assert pages[0] == pages[1]
+
+
+def test_places_are_evaluated_on_a_cluster(twice_round):
+    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+    arguments = (twice_round, "--every", 1, "--min-age", N_ROUND, "--json")
+    arguments += ("--descriptors", "thumbnail")
+    options = {"n_workers": 1, "threads_per_worker": 1, "dashboard_address": None}
+    here = evaluate(*arguments)
+    with distributed.LocalCluster(**options) as cluster:
+        there = evaluate(*arguments, "--scheduler", cluster.scheduler_address)
+    assert without_times(json.loads(here.stdout)) == without_times(json.loads(there.stdout))
+    assert "found no scheduler" in refusal(*arguments, "--scheduler", "tcp://127.0.0.1:1")
 
 
 def test_words_can_be_learnt_of_other_sequences(twice_round):

@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from slam_bof.bof import ConstellationParams
-from slam_bof.bof.constellation import place_bofs
+from slam_bof.bof import ConstellationParams, index_view, place_bofs
 from slam_bof.places.view_index import ViewIndex, ViewIndexParams
 
 N = 30
@@ -22,7 +21,7 @@ def scene(seed):
 def hold(index, ids):
     for view_id in ids:
         points = scene(view_id % N)
-        index.add(view_id, place_bofs(points, ConstellationParams()), points)
+        index.add(view_id, index_view(place_bofs(points, ConstellationParams())), points)
 
 
 @pytest.fixture

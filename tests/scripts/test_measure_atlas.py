@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from slam_bof.atlas import DescribedKeyframes
 from slam_bof.bof import describe_constellation
 
 
@@ -40,15 +39,12 @@ def test_the_table_counts_what_is_found_among_distractors(script, write_turn, tm
 
 def test_distractors_are_like_views_but_none_of_them(script, box_room_frame):
     one = describe_constellation(box_room_frame, np.array([0.0, 1.0, 0.0]))
-    n = len(one)
-    R = one.R_level_camera[None].astype(np.float32)
-    real = DescribedKeyframes(np.zeros(1, np.int32), one.bofs, np.array([n]), R)
-    copies = script["distractors"](real, 3, 40, np.random.default_rng(0))
-    assert [len(copy.ids) for copy in copies] == [40, 40, 40]
+    copies = script["distractors"]([one.bofs], 3, 40, np.random.default_rng(0))
+    assert [len(copy.ids) for copy in copies] == [len(copy.index) for copy in copies] == [40] * 3
     for copy in copies:
-        assert copy.counts.sum() == len(copy.bofs.slices)
-        assert copy.counts.mean() == pytest.approx(n, rel=0.2)
-        assert copy.bofs.codes.dtype == one.bofs.codes.dtype
+        counts = [len(copy.index.bofs(k).slices) for k in range(40)]
+        assert np.mean(counts) == pytest.approx(len(one), rel=0.2)
     # Mirrored: what stood to the right stands to the left.
-    shift = copies[0].bofs.centroids_m.real.mean() + one.bofs.centroids_m.real.mean()
+    right_m = np.concatenate([copies[0].index.bofs(k).centroids_m.real for k in range(40)])
+    shift = right_m.mean() + one.bofs.centroids_m.real.mean()
     assert abs(shift) < 0.1

@@ -121,13 +121,22 @@ def test_an_older_map_is_upgraded(path: Path, version: int, read_only: bool) -> 
 
 
 @pytest.mark.parametrize("read_only", [True, False])
-def test_a_map_of_version_4_is_upgraded_and_whole(filled: MapStore, read_only: bool) -> None:
+@pytest.mark.parametrize(
+    "downgrade",
+    [
+        "DROP TABLE constellations; DROP TABLE culled; PRAGMA user_version = 4",
+        "DROP TABLE constellations; PRAGMA user_version = 5",
+    ],
+)
+def test_a_map_of_version_4_or_5_is_upgraded_and_whole(
+    filled: MapStore, downgrade: str, read_only: bool
+) -> None:
     filled.close()
     db = sqlite3.connect(filled.path)
-    db.executescript("DROP TABLE culled; PRAGMA user_version = 4")
+    db.executescript(downgrade)
     db.close()
     with MapStore.open(filled.path, read_only=read_only) as store:
-        assert len(list(replay_keyframes(store))) == 6
+        assert [record.constellation for record in replay_keyframes(store)] == [None] * 6
         assert store.anchors().tolist() == list(range(6))
         assert len(store.loops()) == 1
     if not read_only:
@@ -139,7 +148,7 @@ def test_another_version_is_named(path: Path) -> None:
     db = sqlite3.connect(path)
     db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     db.close()
-    with pytest.raises(MapError, match="found map version 6, expected one of 2, 3, 4, 5"):
+    with pytest.raises(MapError, match="found map version 7, expected one of 2, 3, 4, 5, 6"):
         MapStore.open(path)
 
 

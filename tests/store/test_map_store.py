@@ -2,6 +2,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import asdict, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from saved_maps import (
     CLASSES,
     STATE,
     make_candidate,
+    make_constellation,
     make_keyframe,
     make_loop,
     make_record,
@@ -20,7 +22,14 @@ from saved_maps import (
 from slam_bof.errors import MapError
 from slam_bof.geometry import se3
 from slam_bof.scenes import MapRoom
-from slam_bof.store import MapStore, Session, SessionResult, check_map, replay_keyframes
+from slam_bof.store import (
+    MapStore,
+    Session,
+    SessionResult,
+    check_map,
+    prune_map,
+    replay_keyframes,
+)
 from slam_bof.store.pruning import drop_keyframes
 from slam_bof.types import Bag, Candidate, CandidateSource, Decision, FramePose, Scene
 
@@ -119,6 +128,33 @@ def test_frames_come_back_to_the_bit(filled: MapStore) -> None:
         assert frames[4 * id_].T_view_camera is None
 
 
+def same_constellations(found: list[Any], expected: list[Any]) -> None:
+    for back, saved in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(back.gravity_camera, saved.gravity_camera)
+        for name in ("describer", "contours", "weight"):
+            assert getattr(back, name) == getattr(saved, name)
+
+
+def test_a_keyframe_needs_no_constellation(path: Path) -> None:
+    with MapStore.create(path) as store:
+        store.begin_session(Session(0, "7scenes", "room/seq-01", "", 0, "1.0"))
+        store.write(replace(make_record(make_keyframe(0)), constellation=None))
+        (record,) = replay_keyframes(store)
+        assert store.constellation(0) is record.constellation is None
+    assert check_map(path) == []
+
+
+def test_constellations_go_with_their_keyframes_when_a_map_is_pruned(filled: MapStore) -> None:
+    finish(filled)
+    filled.close()
+    assert prune_map(filled.path, lambda store: [1, 3]) == 2
+    with MapStore.open(filled.path) as store:
+        found = [store.constellation(id_) for id_ in range(4)]
+        assert store.constellation(4) is None
+    same_constellations(found, [make_constellation(id_) for id_ in (0, 2, 4, 5)])
+    assert check_map(filled.path) == []
+
+
 def test_records_are_what_was_written(path: Path) -> None:
     """A held loop enters the graph with a later keyframe than the one that measured it."""
     held = make_candidate(1, 0, decision="held", reason="no other agrees")
@@ -139,6 +175,7 @@ def test_records_are_what_was_written(path: Path) -> None:
         assert len(back.frames) == len(record.frames)
         pairs = [[(loop.query_id, loop.match_id) for loop in r.admitted] for r in (back, record)]
         assert pairs[0] == pairs[1]
+        same_constellations([back.constellation], [record.constellation])
         assert [loop.query_id for loop in back.measured] == [
             loop.query_id for loop in record.measured
         ]

@@ -130,6 +130,16 @@ def test_a_keyframe_is_lost_with_all_that_names_it(path: Path) -> None:
         assert len(list(replay_keyframes(store))) == 8
 
 
+def test_a_damaged_constellation_costs_no_keyframe(path: Path) -> None:
+    change(path, "UPDATE constellations SET weight = weight + 1 WHERE keyframe_id = 4")
+    (damage,) = check_map(path)
+    assert str(damage).startswith("constellation of keyframe 4: ")
+    recover_map(path, path.with_name("new.db"))
+    with MapStore.open(path.with_name("new.db")) as store:
+        assert len(store.keyframes()) == 9
+        assert [store.constellation(id_) is None for id_ in range(9)] == [k == 4 for k in range(9)]
+
+
 def test_a_damaged_frame_becomes_a_lost_one_and_shifts_no_other(path: Path) -> None:
     with MapStore.open(path) as store:
         before = store.frames(0)
