@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import read_bytes
 from slam_bof.errors import DatasetError
 
 __all__ = ["check_header", "decode_depth_png", "read_depth_png"]
@@ -74,7 +75,7 @@ class NotAPng(DatasetError):
 
 def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_bytes(path)
     except FileNotFoundError:
         raise DatasetError(f"{path}: found no such file, expected a depth image") from None
     except OSError as error:

@@ -134,7 +134,7 @@ class Atlas:
         added = []
         with _writing(Path(folder)):
             for path in paths:
-                resolved = Path(path).resolve()
+                resolved = Path(os.path.realpath(path))
                 added += Atlas._append(Path(folder), [(str(resolved), describe_map(resolved))])
         return added
 
@@ -156,7 +156,7 @@ class Atlas:
             If one is not in the atlas; nothing is removed then.
         """
         folder = Path(folder)
-        wanted = {str(Path(path).resolve()) for path in paths}
+        wanted = {os.path.realpath(path) for path in paths}
         with _writing(folder):
             manifest = read_manifest(folder)
             gone = [entry for entry in manifest.maps if entry.path in wanted]

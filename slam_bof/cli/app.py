@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -34,6 +36,9 @@ from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
 
+MAX_LINE = 2000
+"""Characters of an error or a warning."""
+
 
 class OneLineErrors(TyperGroup):
     """Commands that report a user's mistake as ``error: ...``, and a bug as a traceback."""
@@ -59,8 +64,14 @@ class OneLineErrors(TyperGroup):
 
 def fail(message: str, code: int) -> None:
     """Print an error in one line, and exit."""
-    typer.echo(f"error: {' '.join(message.splitlines())}", err=True)
+    typer.echo(f"error: {_one_line(message)}", err=True)
     raise typer.Exit(code)
+
+
+def _one_line(message: str) -> str:
+    """Return a message without line ends and control characters, which names of files may have."""
+    line = " ".join(message.split())
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)[:MAX_LINE]
 
 
 app = typer.Typer(
@@ -97,7 +108,7 @@ class ShowWarnings(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning in one line."""
-        typer.echo(f"warning: {' '.join(record.getMessage().split())}", err=True)
+        typer.echo(f"warning: {_one_line(record.getMessage())}", err=True)
 
 
 for command in (
@@ -113,4 +124,7 @@ app.add_typer(atlas, name="atlas")
 
 def main() -> None:
     """Run the command line."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files may be no text
+            stream.reconfigure(errors="backslashreplace")
     app(prog_name="slam-bof")
