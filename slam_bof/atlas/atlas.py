@@ -36,7 +36,7 @@ from slam_bof.atlas.segment import (
     save_segment,
 )
 from slam_bof.bof import Constellation, IndexParams, Motions, camera_motions
-from slam_bof.core import lock_file, one_blas_thread
+from slam_bof.core import lock_file, naming, one_blas_thread
 from slam_bof.errors import AtlasError
 from slam_bof.types import Array, Params, Pose
 
@@ -309,6 +309,7 @@ def _writing(folder: Path) -> Iterator[None]:
             lock_file(descriptor)
         except (BlockingIOError, PermissionError):
             raise AtlasError(f"{folder}: found another program that writes to it") from None
-        yield
+        with naming(folder):
+            yield
     finally:
         os.close(descriptor)

@@ -22,6 +22,7 @@ from slam_bof.cli.evaluate import app as evaluate
 from slam_bof.cli.export import export
 from slam_bof.cli.localize import localize
 from slam_bof.cli.map import app as map_tools
+from slam_bof.cli.one_line import one_line
 from slam_bof.cli.options import NumbersCommand
 from slam_bof.cli.plugins import plugins
 from slam_bof.cli.query import app as query
@@ -35,9 +36,6 @@ from slam_bof.cli.view import view
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
-
-MAX_LINE = 2000
-"""Characters of an error or a warning."""
 
 
 class OneLineErrors(TyperGroup):
@@ -64,14 +62,8 @@ class OneLineErrors(TyperGroup):
 
 def fail(message: str, code: int) -> None:
     """Print an error in one line, and exit."""
-    typer.echo(f"error: {_one_line(message)}", err=True)
+    typer.echo(f"error: {one_line(message)}", err=True)
     raise typer.Exit(code)
-
-
-def _one_line(message: str) -> str:
-    """Return a message without line ends and control characters, which names of files may have."""
-    line = " ".join(message.split())
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in line)[:MAX_LINE]
 
 
 app = typer.Typer(
@@ -108,7 +100,7 @@ class ShowWarnings(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning in one line."""
-        typer.echo(f"warning: {_one_line(record.getMessage())}", err=True)
+        typer.echo(f"warning: {one_line(record.getMessage())}", err=True)
 
 
 for command in (

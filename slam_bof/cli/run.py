@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from slam_bof.cli.inputs import map_file, open_sequence
+from slam_bof.cli.one_line import one_line
 from slam_bof.cli.options import FRAMES, JSON, MAX_FRAMES, OUT, QUIET, SET
 from slam_bof.errors import ConfigError
 
@@ -268,7 +269,7 @@ def _run_many(
         print_table(("sequence", *keys, "folder"), rows)
     failed = [one for one in done if one.result is None]
     for one in failed:
-        typer.echo(f"error: {one.error}", err=True)
+        typer.echo(f"error: {one_line(str(one.error))}", err=True)
     if failed:
         typer.echo(f"{len(failed)} of {len(done)} sequences failed", err=True)
         raise typer.Exit(1)

@@ -4,13 +4,26 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["read_bytes", "read_text"]
+__all__ = ["naming", "read_bytes", "read_text"]
 
 MAX_BYTES = 1 << 29
 MAX_TEXT_BYTES = 1 << 27
 """A million poses in TUM format take some 100 MB."""
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name a file in errors that do not, such as that of a disk that is full."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None and error.errno is not None:
+            error.filename = str(path)
+        raise
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_BYTES) -> bytes:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from slam_bof.core import read_bytes, read_text
+from slam_bof.core import naming, read_bytes, read_text
 from slam_bof.core.files import MAX_BYTES, MAX_TEXT_BYTES
 
 
@@ -57,3 +57,13 @@ def test_a_pipe_is_read() -> None:
         assert read_text(Path(f"/dev/fd/{reading}")) == "seed: 7\n"
     finally:
         os.close(reading)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_is_named() -> None:
+    with (
+        pytest.raises(OSError, match="No space left on device: '/dev/full'"),
+        naming(Path("/dev/full")),
+        Path("/dev/full").open("w") as file,
+    ):
+        file.write("x")
