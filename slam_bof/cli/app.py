@@ -119,4 +119,8 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # names of files may be no text
             stream.reconfigure(errors="backslashreplace")
-    app(prog_name="slam-bof")
+    try:
+        app(prog_name="slam-bof")
+    except KeyboardInterrupt:  # before a command has begun
+        typer.echo("error: interrupted", err=True)
+        sys.exit(INTERRUPTED)
