@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -56,6 +57,8 @@ def check_header(path: Path, expected: tuple[int, int] | None = None) -> tuple[i
     DatasetError
         If the image is of 8 bits, in colour, or not of the ``expected`` (height, width).
     """
+    if not os.path.isfile(path):
+        return None  # a pipe would wait for its writer
     try:
         with path.open("rb") as file:
             size = _header_size(path, file.read(HEADER_LENGTH))
@@ -74,10 +77,10 @@ class NotAPng(DatasetError):
 
 
 def _read(path: Path) -> bytes:
+    if not os.path.isfile(path):
+        raise DatasetError(f"{path}: found no such file, expected a depth image")
     try:
         return read_bytes(path)
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: found no such file, expected a depth image") from None
     except OSError as error:
         raise DatasetError(f"{path}: depth image cannot be read: {error.strerror}") from error
 
