@@ -18,6 +18,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
+from slam_bof.core import read_text
 from slam_bof.errors import DatasetError
 
 __all__ = ["BagFile", "Topic", "bag_kind", "find_bag", "open_bag"]
@@ -43,6 +44,14 @@ class Topic:
     n_messages: int
 
 
+class _BagPath(type(Path())):  # type: ignore[misc]
+    """A path as rosbags expects it, which chooses a reader by a suffix in small letters."""
+
+    @property
+    def suffix(self) -> str:
+        return str(super().suffix).lower()
+
+
 class BagFile:
     """An open bag. Messages are found by topic and number, and none is kept.
 
@@ -58,7 +67,8 @@ class BagFile:
         with self._naming():
             # Older ROS 2 bags do not contain their message definitions.
             store = get_typestore(Stores.ROS2_HUMBLE)
-            self._reader = AnyReader(list(parts) or [path], default_typestore=store)
+            files = [_BagPath(part) for part in parts or [path]]
+            self._reader = AnyReader(files, default_typestore=store)
             self._reader.open()
         # Data sets are never closed explicitly: the file is closed with the last reference.
         weakref.finalize(self, self._reader.close)
@@ -148,10 +158,12 @@ def bag_kind(path: Path) -> str:
     """Return the kind of bag by its first bytes, such as ``a ROS 1 bag``; empty if it is none."""
     if path.is_dir():
         try:
-            text = (path / METADATA).read_text(encoding="utf-8-sig")
+            text = read_text(path / METADATA)
         except (OSError, UnicodeDecodeError):
             return ""
         return "a ROS 2 bag" if "rosbag2_bagfile_information" in text else ""
+    if not path.is_file():
+        return ""  # a pipe would wait for its writer
     try:
         with path.open("rb") as file:
             head = file.read(16)
@@ -233,8 +245,3 @@ def _check_kind(bag: Path) -> None:
     if kind != expected:
         found = kind or "something else"
         raise DatasetError(f"{bag}: found {found}, expected {expected}, as its name says")
-    if suffix != bag.suffix and not bag.is_dir():
-        raise DatasetError(
-            f"{bag}: found a name in capitals, expected small letters; "
-            f"rename it to {bag.with_suffix(suffix).name}"
-        )

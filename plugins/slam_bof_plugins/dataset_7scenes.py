@@ -9,6 +9,7 @@ Numbers may have any number of digits.
 from __future__ import annotations
 
 import csv
+import io
 import logging
 import re
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import decode_image
+from slam_bof.core import decode_image, read_bytes, read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3, warn_unknown
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose, Trajectory
@@ -124,7 +125,7 @@ class SevenScenes:
         for suffix in COLOR_SUFFIXES:
             file = self._file(index, suffix)
             if file.is_file():
-                image = decode_image(file.read_bytes(), flags)
+                image = decode_image(read_bytes(file), flags)
                 if image is None:
                     logger.warning("%s: colour image cannot be read", file)
                     return None
@@ -154,10 +155,10 @@ class SevenScenes:
         if not file.is_file():
             return None
         try:
-            with file.open(newline="", encoding="utf-8-sig") as lines:
-                labels = {int(row["frame"]): row["scene"] for row in csv.DictReader(lines)}
+            lines = io.StringIO(read_text(file), newline="")
+            labels = {int(row["frame"]): row["scene"] for row in csv.DictReader(lines)}
             return tuple(labels[number] for number in self._numbers)
-        except (KeyError, TypeError, ValueError) as error:
+        except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
             raise DatasetError(
                 f"{file}: found {error!r}, expected columns frame,scene with every frame"
             ) from error
@@ -203,7 +204,7 @@ def _split_of(scene: Path, sequence: Path) -> str:
     number = int(re.sub(r"\D", "", sequence.name) or 0)
     for name in SPLITS:
         file = scene / name
-        lines = file.read_text(errors="replace").split() if file.is_file() else []
+        lines = read_text(file, "replace").split() if file.is_file() else []
         if f"sequence{number}" in lines:
             return f" {name.removesuffix('Split.txt').lower()}"
     return ""
@@ -220,7 +221,7 @@ def _read_pose(file: Path) -> Pose:
     ``ValueError`` if the file does not hold a pose: recorders write NaN, zeros or nothing, or
     ``-1.#INF``, where they lost track.
     """
-    values = [float(word) for word in file.read_text(encoding="utf-8-sig").split()]
+    values = [float(word) for word in read_text(file).split()]
     if len(values) != 16:
         raise ValueError(f"found {len(values)} numbers, expected 16: a pose")
     T = np.array(values).reshape(4, 4)

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import decode_image
+from slam_bof.core import decode_image, read_bytes, read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import nearest_stamps, ray_slopes, read_tum, se3
 from slam_bof.types import INVALID_DEPTH_MM, Array, Intrinsics, Trajectory
@@ -130,7 +130,7 @@ def read_lines(
         If the file cannot be read or is no text; the message ends with ``expected``.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path)
     except FileNotFoundError:
         raise DatasetError(f"{path}: found no such file, expected {expected}") from None
     except UnicodeDecodeError:
@@ -220,7 +220,7 @@ def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajector
 def _read_image(path: Path | None, flags: int) -> NDArray[np.uint8] | None:
     if path is None or not os.path.isfile(path):
         return None
-    image = decode_image(path.read_bytes(), flags)
+    image = decode_image(read_bytes(path), flags)
     if image is None:
         logger.warning("%s: colour image cannot be read", path)
         return None

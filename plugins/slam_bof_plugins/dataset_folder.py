@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, ValidationError
 
-from slam_bof.core import describe_error, open_npy
+from slam_bof.core import describe_error, open_npy, read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import checked_depth, checked_intrinsics
 from slam_bof.types import Array, DepthFrame, Trajectory
@@ -177,7 +177,7 @@ def _stem(file: Path) -> str:
 
 def _read_camera(file: Path) -> CameraFile:
     try:
-        values = json.loads(file.read_text(encoding="utf-8-sig"))
+        values = json.loads(read_text(file))
         if not isinstance(values, dict):
             raise ValueError(f"a {type(values).__name__}")
         return CameraFile.model_validate(values)

@@ -19,6 +19,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import checked_depth, checked_intrinsics, se3, warn_unknown
 from slam_bof.types import DepthFrame, Intrinsics, Pose, Trajectory
@@ -172,7 +173,7 @@ def _read_camera(scene: Path) -> tuple[Intrinsics, float, str]:
 def _read_json(file: Path) -> dict[str, Any]:
     expected = f"a camera with positive numbers {', '.join(KNOWN_CAMERA)}, scale"
     try:
-        camera: dict[str, Any] = json.loads(file.read_text(encoding="utf-8-sig"))["camera"]
+        camera: dict[str, Any] = json.loads(read_text(file))["camera"]
         if not all(0.0 < float(camera[key]) < math.inf for key in (*KNOWN_CAMERA, "scale")):
             raise ValueError("a number that is not positive")
     except KeyError as error:

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from slam_bof.core import read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import checked_intrinsics
 from slam_bof.types import DepthFrame, Intrinsics, Params
@@ -225,7 +226,7 @@ def _load_strings(file: Path) -> dict[str, list[str]]:
 
 def _read_scene(file: Path) -> str:
     try:
-        scene = file.read_text(encoding="utf-8-sig").strip()
+        scene = read_text(file).strip()
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{file}: {error}, expected the name of a scene") from error
     if not scene or len(scene.split()) != 1:
@@ -250,7 +251,7 @@ def _only(folder: Path, suffix: str) -> Path | None:
 
 def _read_camera(file: Path, size: tuple[int, int]) -> Intrinsics:
     try:
-        K = np.array([float(word) for word in file.read_text(encoding="utf-8-sig").split()])
+        K = np.array([float(word) for word in read_text(file).split()])
     except (OSError, ValueError) as error:
         raise DatasetError(f"{file}: {error}, expected 9 numbers: intrinsics") from error
     if K.shape != (9,):

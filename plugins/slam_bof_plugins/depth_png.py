@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import struct
 import zlib
 from pathlib import Path
@@ -10,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import read_bytes
 from slam_bof.errors import DatasetError
 
 __all__ = ["check_header", "decode_depth_png", "read_depth_png"]
@@ -55,6 +57,8 @@ def check_header(path: Path, expected: tuple[int, int] | None = None) -> tuple[i
     DatasetError
         If the image is of 8 bits, in colour, or not of the ``expected`` (height, width).
     """
+    if not os.path.isfile(path):
+        return None  # a pipe would wait for its writer
     try:
         with path.open("rb") as file:
             size = _header_size(path, file.read(HEADER_LENGTH))
@@ -73,10 +77,10 @@ class NotAPng(DatasetError):
 
 
 def _read(path: Path) -> bytes:
+    if not os.path.isfile(path):
+        raise DatasetError(f"{path}: found no such file, expected a depth image")
     try:
-        return path.read_bytes()
-    except FileNotFoundError:
-        raise DatasetError(f"{path}: found no such file, expected a depth image") from None
+        return read_bytes(path)
     except OSError as error:
         raise DatasetError(f"{path}: depth image cannot be read: {error.strerror}") from error
 

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from slam_bof.core import open_npy
+from slam_bof.core import open_npy, read_text
 from slam_bof.errors import DatasetError, PluginError
 from slam_bof.geometry import read_kitti, read_tum, se3
 from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
@@ -194,10 +194,9 @@ def _read_bag(params: RecordedParams) -> Trajectory:
 def _text_format(file: Path) -> Literal["tum", "kitti"]:
     """Distinguish TUM from KITTI by the first line of numbers; TUM where it is neither."""
     try:
-        with file.open(encoding="utf-8-sig", errors="replace") as lines:
-            for line in lines:
-                if line.strip() and not line.lstrip().startswith("#"):
-                    return "kitti" if len(line.split()) == 12 else "tum"
+        for line in read_text(file, "replace").splitlines():
+            if line.strip() and not line.lstrip().startswith("#"):
+                return "kitti" if len(line.split()) == 12 else "tum"
     except OSError:
         pass  # read_tum says so
     return "tum"

@@ -130,7 +130,9 @@ def read_forged_map(place: Path, case: Path) -> None:
         for kind in ("tum", "csv", "g2o", "ply", "occupancy"):
             quiet(lambda kind=kind: export_map(store, case / f"x.{kind}", kind))
     localizer = MapLocalizer.open(path)
-    expect_numbers(localizer.localize(turn()[0][0]), "localization")
+    found = localizer.localize(turn()[0][0])
+    if found.localization.is_known:  # else overlap and error are NaN: not measured
+        expect_numbers(found, "localization")
 
 
 def continue_map(path: Path, copy: Path) -> None:

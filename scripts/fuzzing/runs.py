@@ -29,7 +29,8 @@ def prepare_run(place: Path) -> None:
     frames = [dataclasses.replace(frame, stamp_s=k / 30) for k, frame in enumerate(frames)]
     truth = Trajectory(np.arange(len(frames)) / 30, np.array(poses))
     write_folder(place / "turn", frames, truth)
-    result = run_sequence(open_dataset(place / "turn"), CONFIG, place / "runs")
+    source = json.dumps({"path": str(place / "turn"), "frames": "0:24"})
+    result = run_sequence(open_dataset(place / "turn"), CONFIG, place / "runs", source=source)
     shutil.move(result.folder, place / "run")
     shutil.copy(place / "run" / "map.db", place / "map.db")
 

@@ -36,7 +36,7 @@ from slam_bof.atlas.segment import (
     save_segment,
 )
 from slam_bof.bof import Constellation, IndexParams, Motions, camera_motions
-from slam_bof.core import lock_file, one_blas_thread
+from slam_bof.core import lock_file, naming, one_blas_thread
 from slam_bof.errors import AtlasError
 from slam_bof.types import Array, Params, Pose
 
@@ -134,7 +134,7 @@ class Atlas:
         added = []
         with _writing(Path(folder)):
             for path in paths:
-                resolved = Path(path).resolve()
+                resolved = Path(os.path.realpath(path))
                 added += Atlas._append(Path(folder), [(str(resolved), describe_map(resolved))])
         return added
 
@@ -156,7 +156,7 @@ class Atlas:
             If one is not in the atlas; nothing is removed then.
         """
         folder = Path(folder)
-        wanted = {str(Path(path).resolve()) for path in paths}
+        wanted = {os.path.realpath(path) for path in paths}
         with _writing(folder):
             manifest = read_manifest(folder)
             gone = [entry for entry in manifest.maps if entry.path in wanted]
@@ -309,6 +309,7 @@ def _writing(folder: Path) -> Iterator[None]:
             lock_file(descriptor)
         except (BlockingIOError, PermissionError):
             raise AtlasError(f"{folder}: found another program that writes to it") from None
-        yield
+        with naming(folder):
+            yield
     finally:
         os.close(descriptor)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
+import sys
 from typing import Annotated, Any
 
 import typer
@@ -20,6 +22,7 @@ from slam_bof.cli.evaluate import app as evaluate
 from slam_bof.cli.export import export
 from slam_bof.cli.localize import localize
 from slam_bof.cli.map import app as map_tools
+from slam_bof.cli.one_line import one_line
 from slam_bof.cli.options import NumbersCommand
 from slam_bof.cli.plugins import plugins
 from slam_bof.cli.query import app as query
@@ -59,7 +62,7 @@ class OneLineErrors(TyperGroup):
 
 def fail(message: str, code: int) -> None:
     """Print an error in one line, and exit."""
-    typer.echo(f"error: {' '.join(message.splitlines())}", err=True)
+    typer.echo(f"error: {one_line(message)}", err=True)
     raise typer.Exit(code)
 
 
@@ -97,7 +100,7 @@ class ShowWarnings(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print a warning in one line."""
-        typer.echo(f"warning: {' '.join(record.getMessage().split())}", err=True)
+        typer.echo(f"warning: {one_line(record.getMessage())}", err=True)
 
 
 for command in (
@@ -113,4 +116,11 @@ app.add_typer(atlas, name="atlas")
 
 def main() -> None:
     """Run the command line."""
-    app(prog_name="slam-bof")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # names of files may be no text
+            stream.reconfigure(errors="backslashreplace")
+    try:
+        app(prog_name="slam-bof")
+    except KeyboardInterrupt:  # before a command has begun
+        typer.echo("error: interrupted", err=True)
+        sys.exit(INTERRUPTED)

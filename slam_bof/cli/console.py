@@ -23,6 +23,8 @@ from rich.progress import (
 from rich.table import Column, Table
 from rich.text import Text
 
+from slam_bof.cli.one_line import escape
+
 if TYPE_CHECKING:
     from slam_bof.types import Step
 
@@ -48,6 +50,7 @@ def print_table(
     first column repeated.
     """
     console = Console(highlight=False)
+    columns = [escape(name) for name in columns]
     cells = [[_text(value) for value in row] for row in rows]
     widths = [
         max(len(line) for cell in column for line in cell.splitlines() or [""])
@@ -58,7 +61,7 @@ def print_table(
     for number, chosen in enumerate(_fit(widths, console.width)):
         table = Table(
             *(_column(columns[k], widths[k]) for k in chosen),
-            title=Text(title) if title and not number else None,
+            title=Text(escape(title)) if title and not number else None,
             title_justify="left",
         )
         for row in cells:
@@ -94,7 +97,7 @@ class Bar:
 
     def __init__(self, what: str, *, quiet: bool = False, live: bool = True) -> None:
         self._console = Console(stderr=True, quiet=quiet, highlight=False, soft_wrap=True)
-        self._what = what
+        self._what = what = escape(what)
         self._live = live
         self._progress = Progress(
             TextColumn("{task.description}", markup=False),
@@ -134,7 +137,7 @@ class Bar:
         self._print(f"warning: {message}")
 
     def _print(self, text: str) -> None:
-        self._console.print(text, markup=False, emoji=False)
+        self._console.print(escape(text), markup=False, emoji=False)
 
 
 class Bars(ExitStack):
@@ -186,7 +189,7 @@ def _text(value: object) -> str:
     if value is None:
         return "-"
     # Adding 0 makes a negative zero positive.
-    return f"{round(value, 3) + 0.0:.3f}" if isinstance(value, float) else str(value)
+    return f"{round(value, 3) + 0.0:.3f}" if isinstance(value, float) else escape(str(value))
 
 
 def _plain(value: Any) -> Any:

@@ -84,6 +84,7 @@ def export(
 ) -> None:
     """Export a map, at its optimised poses, to a file format of other programs."""
     from slam_bof.cli.console import print_json
+    from slam_bof.core import naming
     from slam_bof.maps import OccupancyGridParams, export_map
     from slam_bof.store import MapStore, choose_component, components_of
 
@@ -103,7 +104,7 @@ def export(
         out = out.with_suffix(".yaml")
     elif format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):
         out = out.with_name(f"{out.name}.yaml")
-    with MapStore.open(map_file(map_)) as store, store.snapshot():
+    with MapStore.open(map_file(map_)) as store, store.snapshot(), naming(out):
         inside = choose_component(store, component, session=session)
         if inside.any():
             component = int(components_of(store)[inside][0])

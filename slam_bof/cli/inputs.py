@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from slam_bof.cli.one_line import one_line
 from slam_bof.cli.options import parse_numbers
 
 if TYPE_CHECKING:
@@ -46,7 +47,7 @@ def open_sequence(
         found = registry.recognise_dataset(path)
         name, remarks = found.name, [f"{path}: {found}"]
         if not quiet:
-            typer.echo(remarks[0], err=True)
+            typer.echo(one_line(remarks[0]), err=True)
     with _collecting_warnings() as warnings:
         dataset = registry.open_dataset(path, name, choice.options)
     remarks += warnings

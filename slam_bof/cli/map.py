@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from slam_bof.cli.inputs import map_file
+from slam_bof.cli.one_line import one_line
 from slam_bof.cli.options import JSON, MAP, finite
 from slam_bof.errors import ConfigError, MapError
 
@@ -97,7 +98,7 @@ def check(map_: MAP, as_json: JSON = False) -> None:
         )
     else:
         for damage in found[:MAX_LINES]:
-            typer.echo(str(damage))
+            typer.echo(one_line(str(damage)))
         if len(found) > MAX_LINES:
             typer.echo(f"and {len(found) - MAX_LINES} more; --json prints all")
     if found:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from slam_bof.cli.inputs import open_sequence
+from slam_bof.cli.one_line import one_line
 
 if TYPE_CHECKING:
     from slam_bof.slam import Config
@@ -65,7 +66,7 @@ def run_many(
         print_table(("sequence", *keys, "folder"), rows)
     failed = [one for one in done if one.result is None]
     for one in failed:
-        typer.echo(f"error: {one.error}", err=True)
+        typer.echo(f"error: {one_line(str(one.error))}", err=True)
     if failed:
         typer.echo(f"{len(failed)} of {len(done)} sequences failed", err=True)
         raise typer.Exit(1)

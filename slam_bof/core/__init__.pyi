@@ -10,6 +10,11 @@ from .checkpoint import (
 from .cluster import on_cluster as on_cluster
 from .failures import keep_going as keep_going
 from .file_lock import lock_file as lock_file
+from .files import (
+    naming as naming,
+    read_bytes as read_bytes,
+    read_text as read_text,
+)
 from .images import decode_image as decode_image
 from .native_libraries import (
     import_open3d as import_open3d,

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import decode_image, open_npy
+from slam_bof.core import decode_image, open_npy, read_bytes, read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import checked_depth, checked_intrinsics
 from slam_bof.types import MAX_PIXELS, DepthFrame, Intrinsics
@@ -165,7 +165,7 @@ def _read(path: Path) -> NDArray[Any]:
             reason = " ".join(str(error).split())
             raise DatasetError(f"{path}: found no array ({reason}), expected depth") from error
     else:
-        read = decode_image(path.read_bytes())
+        read = decode_image(read_bytes(path))
         if read is None:
             raise DatasetError(f"{path}: found no image that can be read, expected 16-bit depth")
         image = read
@@ -182,7 +182,7 @@ def _read(path: Path) -> NDArray[Any]:
 def _read_camera(file: Path, width: int, height: int) -> tuple[Intrinsics, float | None, float]:
     """Return the camera, the units a metre if given, and the units to add before scaling."""
     try:
-        found = json.loads(file.read_text(encoding="utf-8-sig"))
+        found = json.loads(read_text(file))
         size = int(found["width"]), int(found["height"])
         fx, fy, cx, cy = (float(found[name]) for name in ("fx", "fy", "cx", "cy"))
         scale = found.get("depth_scale")

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from slam_bof.core import read_text
 from slam_bof.datasets.download_connection import Watchdog, open_url, printable
 from slam_bof.errors import DatasetError
 
@@ -199,7 +200,7 @@ def _notes(part: Path) -> Path:
 
 def _read_notes(part: Path) -> dict[str, str]:
     try:
-        notes = json.loads(_notes(part).read_text(encoding="utf-8"))
+        notes = json.loads(read_text(_notes(part)))
     except (OSError, ValueError, RecursionError):
         return {}
     version = notes.get("version") if isinstance(notes, dict) else None

@@ -10,6 +10,7 @@ import hashlib
 import re
 from pathlib import Path
 
+from slam_bof.core import read_text
 from slam_bof.errors import DatasetError
 
 __all__ = ["check_sum", "record_sum"]
@@ -42,7 +43,7 @@ def record_sum(archive: Path, sha256: str) -> None:
 def _read_sums(sums: Path) -> dict[str, str]:
     """Return SHA-256 by the name of the file; other lines are ignored."""
     try:
-        lines = sums.read_text(encoding="utf-8", errors="replace").splitlines()
+        lines = read_text(sums, "replace").splitlines()
     except OSError:
         return {}
     found = (LINE.fullmatch(line) for line in lines)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -13,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import registry
+from slam_bof.core import read_text, registry
 from slam_bof.datasets.depth_images import CAMERA_FILE, DepthImages, is_image
 from slam_bof.errors import DatasetError, PluginError
 from slam_bof.ports import Dataset
@@ -146,8 +147,8 @@ def read_label_file(file: Path) -> list[LabelledSequence]:
         If the file cannot be read, or a path does not exist.
     """
     try:
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            rows = [(number, row) for number, row in enumerate(csv.reader(lines), 1) if any(row)]
+        lines = io.StringIO(read_text(file), newline="")
+        rows = [(number, row) for number, row in enumerate(csv.reader(lines), 1) if any(row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or error
         raise DatasetError(f"{file}: found {reason}, expected CSV with path,label") from error
@@ -213,7 +214,7 @@ def read_split(scene: Path, name: str) -> list[Path]:
     """
     file = scene / name
     try:
-        words = file.read_text(encoding="utf-8-sig", errors="replace").split()
+        words = read_text(file, "replace").split()
     except OSError:
         raise DatasetError(
             f"{file}: found no such file, expected lines such as sequence1"

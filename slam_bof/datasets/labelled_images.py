@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from slam_bof.core import read_text
 from slam_bof.datasets.depth_images import DepthImages
 from slam_bof.datasets.labelled_frames import LabelledFrame
 from slam_bof.errors import DatasetError
@@ -25,8 +27,8 @@ EXPECTED = "columns file, scene, group and, if known, R00 to R22"
 def has_groups(file: Path) -> bool:
     """Return whether a CSV file has a column of groups, so that ``read_image_table`` reads it."""
     try:
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            return GROUP_COLUMN in [word.strip() for word in next(csv.reader(lines), [])]
+        lines = io.StringIO(read_text(file), newline="")
+        return GROUP_COLUMN in [word.strip() for word in next(csv.reader(lines), [])]
     except (OSError, UnicodeDecodeError, csv.Error):
         return False
 
@@ -49,10 +51,10 @@ def read_image_table(file: Path, *, camera_file: Path | None = None) -> list[Lab
         If the file cannot be read, a column or image is missing, or a row is wrong.
     """
     try:
-        with file.open(newline="", encoding="utf-8-sig") as lines:
-            reader = csv.DictReader(lines, skipinitialspace=True)
-            columns = list(reader.fieldnames or [])
-            rows = [(reader.line_num, row) for row in reader]
+        lines = io.StringIO(read_text(file), newline="")
+        reader = csv.DictReader(lines, skipinitialspace=True)
+        columns = list(reader.fieldnames or [])
+        rows = [(reader.line_num, row) for row in reader]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         reason = getattr(error, "strerror", None) or error
         raise DatasetError(f"{file}: found {reason}, expected CSV with {EXPECTED}") from error

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3
 from slam_bof.types import Array, Trajectory
@@ -237,7 +238,7 @@ def _rows(path: Path, n_numbers: int, meaning: str) -> Iterator[tuple[str, Array
 
 def _lines(path: Path) -> Iterable[str]:
     try:
-        return Path(path).read_text(encoding="utf-8-sig").splitlines()
+        return read_text(Path(path)).splitlines()
     except UnicodeDecodeError:
         raise DatasetError(f"{path}: found binary data, expected a text file of poses") from None
     except OSError as error:

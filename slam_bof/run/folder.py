@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam_bof.core import read_text
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
 from slam_bof.run.health import read_health
@@ -110,7 +111,7 @@ def _write(handler: logging.Handler, level: int, message: str) -> None:
 
 def link_map(folder: Path, map_file: Path) -> None:
     """Create the link ``map.db`` in a run's folder to a map elsewhere, if that is possible."""
-    target = os.path.relpath(map_file.resolve(), folder.resolve())
+    target = os.path.relpath(os.path.realpath(map_file), os.path.realpath(folder))
     try:
         (folder / "map.db").symlink_to(target)
     except OSError as error:
@@ -130,7 +131,7 @@ def read_run(folder: Path) -> ReportData:
     metrics = folder / "metrics.json"
     groundtruth = folder / "trajectory_groundtruth_tum.txt"
     try:
-        figures = json.loads(metrics.read_text(encoding="utf-8"))
+        figures = json.loads(read_text(metrics))
     except FileNotFoundError:
         found = "no metrics.json there" if folder.is_dir() else "no such folder"
         raise RunError(f"{folder}: found {found}, expected the folder of a finished run") from None
@@ -184,6 +185,6 @@ def rerun_command(folder: Path, store: MapStore) -> str:
 
 def _read_if_there(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8") if path.is_file() else ""
+        return read_text(path) if path.is_file() else ""
     except (OSError, UnicodeDecodeError) as error:
         raise RunError(f"{path}: found {error}, expected text") from error

@@ -11,6 +11,7 @@ from typing import TextIO
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import read_text
 from slam_bof.errors import RunError
 from slam_bof.types import Step
 from slam_bof.visualization import FrameHealth
@@ -80,7 +81,7 @@ def write_health(
 def read_health(path: Path) -> list[FrameHealth]:
     """Read health.csv; empty for a run of a version that did not write it."""
     try:
-        text = path.read_text(encoding="utf-8") if path.is_file() else ""
+        text = read_text(path) if path.is_file() else ""
         rows = csv.DictReader(text.splitlines())
         return [FrameHealth(row["health"], int(row["n_open"])) for row in rows]
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:

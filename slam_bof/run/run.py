@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib.metadata
 import logging
-from collections.abc import Sequence
-from contextlib import ExitStack
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -239,11 +239,33 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
         restore_session(closer, store, session, is_new=is_new)
         closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
-        try:
-            with job.observer.health.saved_in(folder / "health.csv", len(closer.history)):
-                result = slam.run(job.dataset, max_frames=job.max_frames)
-        except KeyboardInterrupt:
-            raise RunInterrupted(folder, job.observer.n_frames) from None
+        health = job.observer.health.saved_in(folder / "health.csv", len(closer.history))
+        with _resumable(folder, job), health:
+            result = slam.run(job.dataset, max_frames=job.max_frames)
+    with _resumable(folder, job):
+        return _conclude(job, folder, store, session, result, started, doubts)
+
+
+@contextmanager
+def _resumable(folder: Path, job: _Job) -> Iterator[None]:
+    """Raise ``RunInterrupted`` for Ctrl-C."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise RunInterrupted(folder, job.observer.n_frames) from None
+
+
+def _conclude(
+    job: _Job,
+    folder: Path,
+    store: MapStore,
+    session: Session,
+    result: SlamResult,
+    started: Usage,
+    doubts: Sequence[str],
+) -> RunResult:
+    """Finish a session whose frames are all read, and write the files of its run."""
+    closer = job.closer
     write_trajectory(folder, "odometry", result.odometry)
     write_trajectory(folder, "optimized", result.optimized)
     used = Usage.now() - started

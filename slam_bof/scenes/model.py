@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from slam_bof.bof import PlaceDescriber, PlaceParams, TfIdf, Vocabulary
-from slam_bof.core import parse_npy
+from slam_bof.core import parse_npy, read_bytes
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.labeller import BagLabeller, Labeller
@@ -202,7 +202,7 @@ def load(path: str | Path) -> Model:
     """
     path = Path(path)
     try:
-        data = path.read_bytes()
+        data = read_bytes(path)
     except FileNotFoundError:
         raise ModelError(f"{path}: no such model file") from None
     except OSError as error:

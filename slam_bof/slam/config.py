@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
-from slam_bof.core import describe_error, parse_yaml, registry, suggest
+from slam_bof.core import describe_error, parse_yaml, read_text, registry, suggest
 from slam_bof.errors import ConfigError
 from slam_bof.geometry import PointParams, VirtualCameraParams
 from slam_bof.loops import CovisibilityParams, LoopParams, VerificationParams
@@ -152,9 +152,7 @@ def load(path: Path | str) -> Config:
     """
     path = Path(path)
     try:
-        if (n_bytes := path.stat().st_size) > MAX_BYTES:
-            raise ConfigError(f"{path}: found {n_bytes} bytes, expected a YAML configuration")
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_text(path, max_bytes=MAX_BYTES)
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file, expected a YAML configuration") from None
     except OSError as error:

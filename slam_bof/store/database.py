@@ -48,8 +48,9 @@ class MapDatabase:
         path = Path(path)
         with contextlib.ExitStack() as on_error:
             lock = on_error.enter_context(_WriterLock(path))
-            if path.exists():
-                raise MapError(f"{path}: found a file, expected none: a new map needs a new name")
+            if os.path.lexists(path):  # also a link to nothing, which the map would replace
+                found = "a file" if path.exists() else "a link to nothing"
+                raise MapError(f"{path}: found {found}, expected none: a new map needs a new name")
             new = path.with_name(f".{path.name}.new")
             with as_map_errors(path):
                 new.unlink(missing_ok=True)
@@ -191,7 +192,7 @@ class _WriterLock:
     def __init__(self, path: Path) -> None:
         self._process_id = os.getpid()
         # Resolved, so that programs that use different symbolic links share one lock.
-        self._file = Path(f"{path.resolve()}-lock")
+        self._file = Path(f"{os.path.realpath(path)}-lock")
         while True:
             try:
                 flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0)

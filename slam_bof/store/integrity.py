@@ -58,15 +58,14 @@ def check_map(path: Path | str) -> list[Damage]:
     MapError
         If the file is not a map, or not even its tables can be read.
     """
-    with MapStore.open(path) as store, store.snapshot():
+    with MapStore.open(path) as store, store.snapshot(), as_map_errors(Path(path)):
         db = store.connection
         # Damaged text may not be valid UTF-8; the checksum of its row reports it.
         db.text_factory = lambda text: text.decode(errors="surrogateescape")
         found = [Damage(None, None, text) for text in _sqlite_findings(db)]
         for table in KEY_COLUMNS:
             found += _check_rows(db, table)
-        with as_map_errors(Path(path)):
-            found += _check_references(store, {(damage.table, damage.row) for damage in found})
+        found += _check_references(store, {(damage.table, damage.row) for damage in found})
         if not found:
             store.is_checked = True
             found += _unreadable(store)

@@ -22,7 +22,7 @@ from slam_bof.store.pruning import drop_keyframes
 from slam_bof.store.row_checks import find_fault
 from slam_bof.store.row_codec import INSERT_FRAME, decode_frame, encode_frame
 from slam_bof.store.schema import KEY_COLUMNS, SMOOTHED_COLUMNS
-from slam_bof.store.schema_repair import repair_schema
+from slam_bof.store.schema_repair import has_header, repair_schema
 from slam_bof.store.sqlite import as_map_errors, columns, possible_rowids, update_checksums
 from slam_bof.types import LOST
 
@@ -104,8 +104,8 @@ def _open(path: Path, stack: ExitStack) -> MapStore:
     try:
         return MapStore.open(path)
     except MapError:
-        if not path.is_file():
-            raise
+        if not path.is_file() or not has_header(path):
+            raise  # what is no database may be too large to copy
         copy = Path(stack.enter_context(TemporaryDirectory())) / "map.db"
         for end in ("", "-wal"):
             file = Path(f"{path.resolve()}{end}")

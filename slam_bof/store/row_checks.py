@@ -37,6 +37,8 @@ UNBOUNDED = ("rmse_m", "score", "normaliser", "eta")
 """What may be infinite: a pair without correspondences has no error that is small enough."""
 MAX_TEXT = 1_000_000
 """Characters of a text; a configuration has some 10,000."""
+MAX_PATH = 4096
+"""Characters of the path of a run's sequence."""
 SUM_TOLERANCE = 1e-3
 """Largest deviation of a sum of probabilities, or of the square of a quaternion, from 1."""
 
@@ -223,6 +225,12 @@ def _check_parameter(row: Row) -> None:
         units = _json(value, key)
         is_number = isinstance(units, float | int) and not isinstance(units, bool)
         _expect(units is None or (is_number and 1.0 <= units < math.inf), key)
+    elif key == "source" and value:
+        source = _json(value, key)
+        _expect(isinstance(source, dict), key)
+        path, frames = source.get("path"), source.get("frames")
+        _expect(isinstance(path, str) and "\0" not in path and len(path) <= MAX_PATH, key)
+        _expect(frames is None or isinstance(frames, str), key)
 
 
 CHECKS: dict[str, Callable[[Row], None]] = {

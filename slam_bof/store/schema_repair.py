@@ -14,9 +14,10 @@ from pathlib import Path
 
 from slam_bof.store.schema import APPLICATION_ID, SCHEMA, SCHEMA_VERSION
 
-__all__ = ["STATEMENTS", "check_schema", "find_additions", "repair_schema"]
+__all__ = ["STATEMENTS", "check_schema", "find_additions", "has_header", "repair_schema"]
 
 MAGIC = b"SQLite format 3\0"
+HEADER_BYTES = 100
 STATISTICS = re.compile("sqlite_stat[1-4]")
 """Tables that SQLite's ANALYZE makes."""
 MAX_BAD_BYTES = 2
@@ -51,6 +52,13 @@ def find_additions(expected: Set[tuple[str, str]], found: Iterable[Sequence[str]
     return f"{', '.join(added[:5])} in the database, which slam_bof has not made" if added else ""
 
 
+def has_header(path: Path) -> bool:
+    """Return whether a file begins as a database, perhaps a damaged one."""
+    with path.open("rb") as file:
+        header = file.read(HEADER_BYTES)
+    return len(header) == HEADER_BYTES and _n_different(header, MAGIC) <= MAX_BAD_BYTES
+
+
 def repair_schema(path: Path) -> None:
     """Restore the file header and the schema statements of a damaged map, in place.
 
@@ -60,10 +68,10 @@ def repair_schema(path: Path) -> None:
         If the file is not an SQLite database, or has too many or too few schema statements.
     """
     has_wal = Path(f"{path}-wal").exists()
+    if not has_header(path):
+        raise sqlite3.DatabaseError("file is not a database")
     with path.open("r+b") as file:
-        header = bytearray(file.read(100))
-        if len(header) < 100 or _n_different(header, MAGIC) > MAX_BAD_BYTES:
-            raise sqlite3.DatabaseError("file is not a database")
+        header = bytearray(file.read(HEADER_BYTES))
         file.seek(0)
         file.write(_repaired_header(header, has_wal=has_wal))
     with closing(sqlite3.connect(path, isolation_level=None)) as db:

@@ -54,7 +54,7 @@ def connect(path: Path, mode: str) -> sqlite3.Connection:
     Transactions are explicit (``BEGIN``) and rows can be indexed by column name. The connection
     may be used by one thread at a time.
     """
-    path = path.resolve()
+    path = Path(os.path.realpath(path))  # resolve() raises for links in a circle
     uri = f"{path.as_uri()}?mode={mode}"
     if mode == "ro" and not Path(f"{path}-wal").exists() and not os.access(path.parent, os.W_OK):
         # SQLite cannot create lock files in a read-only folder, where nothing can change anyway.

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from slam_bof.core import read_text
 from slam_bof.errors import DatasetError
 from slam_bof.geometry import se3
 from slam_bof.synthetic import furniture as f
@@ -52,7 +53,7 @@ def read_poses(files: list[Path], sequence: str) -> tuple[list[int], Array]:
     rows: dict[int, Array] = {}
     for file in files:
         try:
-            lines = file.read_text("utf-8").splitlines()
+            lines = read_text(file, "replace").splitlines()
         except OSError as error:
             raise DatasetError(f"{file}: found {error.strerror}, expected poses") from error
         for line in lines:

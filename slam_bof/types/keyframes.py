@@ -92,7 +92,12 @@ class Step:
 
     @property
     def health(self) -> str:
-        """How the frame was tracked: ``tracked``, ``degenerate`` or ``lost``."""
+        """How the frame was tracked: ``tracked``, ``degenerate`` or ``lost``.
+
+        It is ``unknown`` for a frame that was restored, whose open directions a map does not keep.
+        """
         if self.is_lost:
             return "lost"
+        if self.T_map_camera is None:
+            return "unknown"
         return "degenerate" if self.open_axes.shape[1] else "tracked"

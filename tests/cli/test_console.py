@@ -45,6 +45,18 @@ def test_text_of_progress_is_printed_as_it_is(path: str, capsys) -> None:
     assert capsys.readouterr().err.splitlines() == [f"warning: {path}", f"{path}: 10/10 {path}"]
 
 
+def test_text_of_others_does_not_control_the_terminal(capsys) -> None:
+    foreign = "a\x1b[31m\u202eb"
+    print_table([foreign], [[foreign]], title=foreign)
+    with Bar(foreign) as bar:
+        bar.warn(foreign)
+        bar.show(10, 10, foreign)
+    out, err = capsys.readouterr()
+    for text, n in ((out, 3), (err, 3)):
+        assert not re.search("[\x1b\u202e]", text)
+        assert text.count(r"a\x1b[31m\u202eb") == n
+
+
 @pytest.mark.parametrize("path", PATHS)
 def test_text_of_a_progress_bar_is_printed_as_it_is(path: str, capsys, terminal) -> None:
     terminal(200)

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 import slam_bof
-from slam_bof.cli import app
+from slam_bof.cli import app, main
 
 VERSION = metadata.version("slam-bof")
 
@@ -35,3 +35,16 @@ def test_short_and_long_option_of_help(command: list[str]) -> None:
     assert short.exit_code == long.exit_code == 0
     assert short.stdout == long.stdout
     assert "Usage: " in short.stdout
+
+
+def test_ctrl_c_before_a_command_has_begun_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("typer.main.get_command", interrupt)
+    with pytest.raises(SystemExit) as caught:
+        main()
+    assert caught.value.code == 130
+    assert capsys.readouterr().err == "error: interrupted\n"

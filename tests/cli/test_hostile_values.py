@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, get_args, get_origin, get_type_hints
 
+import cv2
+import numpy as np
 import pytest
 import typer
+from conftest import CAMERA, box_room_depth_mm
+from saved_maps import make_keyframe, save
 from typer.testing import CliRunner
 
 from slam_bof.cli import app
+from slam_bof.store import MapStore, SessionResult
 
 
 def float_options(group: typer.Typer, *names: str) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -60,10 +68,6 @@ def test_frames_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_a_map_is_not_merged_with_itself(tmp_path: Path) -> None:
-    from saved_maps import make_keyframe, save
-
-    from slam_bof.store import MapStore, SessionResult
-
     path = tmp_path / "a.db"
     with MapStore.create(path) as store:
         save(store, make_keyframe(0))
@@ -76,3 +80,38 @@ def test_a_map_is_not_merged_with_itself(tmp_path: Path) -> None:
         assert result.exit_code == 1
         assert "found it twice, expected different maps to merge" in result.stderr
     assert not (tmp_path / "out.db").exists()
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["query", "keyframes"], ["map", "check"], ["atlas", "add", "atlas"], ["run", "seq", "--map"]],
+)
+def test_links_in_a_circle_and_odd_names_are_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("seq").mkdir()
+    for number in range(2):
+        cv2.imwrite(f"seq/frame-{number:06d}.depth.png", box_room_depth_mm(CAMERA, np.eye(4)))
+    file = Path("a\n\x1b[31m\udcff.db")
+    file.symlink_to(file)
+    result = CliRunner().invoke(app, [*command, str(file)])
+    assert result.exit_code == 1, result.output
+    line = result.stderr.splitlines()[-1]
+    assert line.isprintable()
+    assert line.startswith("error: ")
+    assert "a \\x1b[31m\\udcff.db: found " in line
+    assert file.is_symlink()
+
+
+def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
+    file = tmp_path / os.fsdecode(b"caf\xe9.db")
+    MapStore.create(file).close()
+    done = subprocess.run(
+        [sys.executable, "-m", "slam_bof", "map", "check", file],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONUTF8": "1", "COLUMNS": "500"},
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "caf\\udce9.db" in done.stdout

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import shutil
 import struct
 import zlib
@@ -308,3 +309,16 @@ def test_the_real_sequence_reads(shared_data: Path) -> None:
     assert "seq-01 test, seq-02 train, seq-03 train, seq-04 test" in refusal(
         shared_data / "7scenes" / "stairs"
     )
+
+
+def test_a_pipe_is_no_image_and_is_not_waited_for(folder: Path) -> None:
+    image, pose = (folder / f"frame-000002.{suffix}" for suffix in ("depth.png", "pose.txt"))
+    for file in (image, pose):
+        file.unlink()
+        os.mkfifo(file)
+    dataset = SevenScenes.open(folder)
+    with pytest.raises(DatasetError, match=r"frame-000002\.depth\.png: found no such file"):
+        dataset.frame(2)
+    truth = dataset.groundtruth()
+    assert truth is not None
+    assert np.isnan(truth.poses).any(axis=(1, 2)).tolist() == [False, False, True, False]

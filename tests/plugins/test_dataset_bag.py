@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sqlite3
 from contextlib import closing
@@ -169,15 +170,25 @@ def test_recordings_that_do_not_follow_each_other_are_no_parts(tmp_path: Path) -
     assert f"give one of them, such as {walk / 'run_1.bag'}" in said
 
 
-def test_a_bag_that_was_not_closed_or_is_in_capitals_names_the_way(tmp_path: Path) -> None:
-    bag = write(tmp_path, "ros1")
-    active = bag.rename(tmp_path / "toy.bag.active")
+def test_a_bag_that_was_not_closed_names_the_way(tmp_path: Path) -> None:
+    active = write(tmp_path, "ros1").rename(tmp_path / "toy.bag.active")
     assert "rename it to toy.bag and run: rosbag reindex toy.bag" in refusal("auto", active)
-    loud = active.rename(tmp_path / "TOY.BAG")
-    assert "found a name in capitals, expected small letters; rename it to TOY.bag" in (
-        refusal("auto", loud)
-    )
-    assert "rename it to TOY.bag" in refusal("auto", tmp_path)
+
+
+@pytest.mark.parametrize("form", ["ros1", "mcap"])
+def test_a_bag_with_a_name_in_capitals_is_opened(tmp_path: Path, form: str) -> None:
+    bag = write(tmp_path, form)
+    bag = next(bag.glob("*.mcap")) if bag.is_dir() else bag
+    loud = bag.rename(tmp_path / f"TOY{bag.suffix.upper()}")
+    dataset = registry.open_dataset(loud)
+    check_dataset(dataset)
+    np.testing.assert_array_equal(dataset.frame(1).depth, ramp(1))
+
+
+def test_a_pipe_is_no_bag_and_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "toy.bag")
+    assert "found something else, expected a ROS 1 bag" in refusal("bag", tmp_path / "toy.bag")
+    assert "expected the folder of a sequence" in refusal("auto", tmp_path / "toy.bag")
 
 
 # Damage

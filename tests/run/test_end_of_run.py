@@ -14,7 +14,7 @@ from conftest import CAMERA, box_room_depth_mm
 from slam_bof.core import keep_going
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_kitti, read_tum, se3
-from slam_bof.run import run_sequence
+from slam_bof.run import RunInterrupted, outputs, resume_sequence, run_sequence
 from slam_bof.run.folder import link_map, make_folder
 from slam_bof.scenes import LevelledClassifier
 from slam_bof.slam import preset
@@ -179,3 +179,28 @@ def test_the_log_has_warnings_of_plugins_and_how_the_run_ended(monkeypatch, tmp_
     assert any("WARNING stranger: a strange plug-in" in line for line in lines)
     assert not any("nothing of interest" in line for line in lines)
     assert lines[-1].endswith("failed: RuntimeError: the cable is out")
+
+
+@pytest.mark.parametrize("stage", ["write_health", "write_report"])
+def test_ctrl_c_while_files_are_written_says_how_to_go_on(monkeypatch, tmp_path, stage):
+    def interrupt(*arguments, **options):
+        raise KeyboardInterrupt
+
+    whole = run(tmp_path / "whole")
+    with monkeypatch.context() as patch:
+        patch.setattr(outputs, stage, interrupt)
+        with pytest.raises(RunInterrupted) as caught:
+            run(tmp_path / "cut")
+    cut = caught.value.folder
+    assert caught.value.n_frames == 20
+    assert "interrupted after 20 frames" in (cut / "run.log").read_text()
+    assert resume_sequence(BoxRoom(), cut / "map.db", tmp_path).folder == cut
+    assert {file.name for file in whole.iterdir()} == {file.name for file in cut.iterdir()}
+    for name in (
+        "trajectory_optimized_tum.txt",
+        "pose_graph.g2o",
+        "loops.csv",
+        "map.ply",
+        "health.csv",
+    ):
+        assert (whole / name).read_bytes() == (cut / name).read_bytes()

@@ -53,8 +53,32 @@ def test_every_fault_is_noticed(
         lambda place, case, rng: (case / "file").write_text("broken"),
         lambda place, case: exec(READ[outcome]),
     )
-    counts = script["fuzz"]("x", reader, 2, 0, tmp_path, tmp_path / "kept")
+    counts = script["fuzz"]("x", reader, range(2), 0, tmp_path, tmp_path / "kept")
     assert counts == {outcome: 2}
     if outcome != "accepted":
         assert f"x --seed 0, case 1: {outcome}" in capfd.readouterr().err
         assert (tmp_path / "kept" / "x-0-1" / "file").read_text() == "broken"
+
+
+def test_a_long_run_can_be_done_in_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Parts come to the cases of the whole."""
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    script = runpy.run_path(str(FUZZ))
+
+    def read(place: Path, case: Path) -> None:
+        raise RuntimeError((case / "number").read_text())
+
+    reader = script["Reader"](
+        1.0,
+        lambda place: None,
+        lambda place, case, rng: (case / "number").write_text(str(rng.random())),
+        read,
+    )
+    said = []
+    for cases in (range(6), range(2), range(2, 6)):
+        script["fuzz"]("x", reader, cases, 5, tmp_path, None)
+        said.append(capfd.readouterr().err)
+    assert said[0] == said[1] + said[2]
+    assert said[0].count("\n") == 6

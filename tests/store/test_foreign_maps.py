@@ -33,6 +33,8 @@ from slam_bof.store import (
 from slam_bof.store.row_checks import CHECKS
 from slam_bof.store.sqlite import possible_rowids, prepare, update_checksums
 
+SOURCE = json.dumps({"path": "home/seq-01", "frames": "0:6"})
+
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -40,7 +42,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("original") / "map.db"
     room = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
     with MapStore.create(path) as store:
-        store.set_parameters({"model": "a1b2", "units_per_m": 1000.0})
+        store.set_parameters({"model": "a1b2", "units_per_m": 1000.0, "source": SOURCE})
         for id_ in range(6):
             found = ([make_candidate(5, 0)], [make_loop(5, 0)]) if id_ == 5 else ((), ())
             save(store, make_keyframe(id_), *found)
@@ -137,6 +139,13 @@ IMPLAUSIBLE: list[tuple[str, object]] = [
     ("parameters SET value = ? WHERE key = 'classes'", "[1, 2]"),
     ("parameters SET value = ? WHERE key = 'classes'", '["kitchen"]'),
     ("parameters SET value = ? WHERE key = 'units_per_m'", '"many"'),
+    ("parameters SET value = ? WHERE key = 'source'", "home"),
+    ("parameters SET value = ? WHERE key = 'source'", "[]"),
+    ("parameters SET value = ? WHERE key = 'source'", "null"),
+    ("parameters SET value = ? WHERE key = 'source'", '{"path": 5}'),
+    ("parameters SET value = ? WHERE key = 'source'", '{"path": "a\\u0000b"}'),
+    ("parameters SET value = ? WHERE key = 'source'", '{"path": "home", "frames": 7}'),
+    ("parameters SET value = ? WHERE key = 'source'", json.dumps({"path": "x" * 5000})),
 ]
 
 

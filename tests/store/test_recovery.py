@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import sqlite3
 from collections.abc import Callable
@@ -190,3 +191,12 @@ def test_where_nothing_is_whole_nothing_is_made(path: Path) -> None:
     assert "found no SQLite database" in found_by(lambda: recover_map(path, out))
     assert "found no file" in found_by(lambda: recover_map(path.with_name("none.db"), out))
     assert [file.name for file in path.parent.iterdir()] == ["map.db"]
+
+
+def test_a_file_of_a_terabyte_that_is_no_database_is_not_copied(tmp_path: Path) -> None:
+    path = tmp_path / "map.db"
+    path.touch()
+    os.truncate(path, 1 << 40)
+    with pytest.raises(MapError, match="found no SQLite database"):
+        recover_map(path, tmp_path / "out.db")
+    assert not (tmp_path / "out.db").exists()
