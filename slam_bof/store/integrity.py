@@ -169,8 +169,9 @@ def _check_references(
     for id_ in seen:
         if camera is None or ("views", id_) in damaged:
             continue
-        (row,) = store.select("SELECT * FROM views WHERE keyframe_id = ?", id_)
-        if decode_view(row, camera) is None:
+        rows = store.select("SELECT * FROM views WHERE keyframe_id = ?", id_)
+        # An index may have a row that cannot be read, where a page of the database is broken.
+        if not rows or decode_view(rows[0], camera) is None:
             yield Damage("views", id_, f"is no 16-bit PNG of the size that {camera} has")
     for (session,) in store.select("SELECT id FROM sessions"):
         indices = [

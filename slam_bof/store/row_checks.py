@@ -143,9 +143,10 @@ def _check_keyframe(row: Row) -> None:
 
 
 def _check_view(row: Row) -> None:
-    keyframe_id, per_m = _pick("views", "keyframe_id", "per_m")(row)
+    keyframe_id, per_m, depth = _pick("views", "keyframe_id", "per_m", "depth")(row)
     _expect(keyframe_id >= 0, "keyframe_id")
     _expect(1 <= per_m <= 65535, "per_m")
+    _expect(isinstance(depth, bytes), "depth")
 
 
 def _check_constellation(row: Row) -> None:

@@ -175,8 +175,9 @@ def decode_view(row: Any, camera: Intrinsics) -> SubsampledDepth | None:
     """Return the subsampled depth image in a row of ``views``, None if it is damaged."""
     stride = view_stride(camera)
     size = (-(-camera.width // stride), -(-camera.height // stride))
+    is_blob = isinstance(row["depth"], bytes)  # not where a page of the database is broken
     # The header is read first: a few bytes may stand for an image of gigabytes.
-    if row["depth"][16:24] != struct.pack(">2I", *size):
+    if not is_blob or row["depth"][16:24] != struct.pack(">2I", *size):
         return None
     depth = decode_image(row["depth"])
     if depth is None or depth.dtype != np.uint16 or depth.shape != size[::-1]:
