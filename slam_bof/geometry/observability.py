@@ -53,14 +53,14 @@ class PrincipalDirections(NamedTuple):
     axes: Array
 
     @classmethod
-    def of(cls, pairs: SurfacePairs) -> PrincipalDirections | None:
+    def of(cls, pairs: SurfacePairs, min_pairs: int = MIN_PAIRS) -> PrincipalDirections | None:
         """Return the principal directions of pairs, or None if there are too few pairs.
 
         The normals of the query are multiplied with those of the match. As their noise is
         independent, it does not count as information.
         """
         points = pairs.points_query
-        if len(points) < MIN_PAIRS:
+        if len(points) < min_pairs:
             return None
         centre = points.mean(axis=0)
         offsets = points - centre
@@ -128,14 +128,19 @@ class PrincipalDirections(NamedTuple):
 
 
 def open_directions(
-    aligner: ViewAligner, query: int, match: int, T_match_query: Pose
+    aligner: ViewAligner,
+    query: int,
+    match: int,
+    T_match_query: Pose,
+    *,
+    min_pairs: int = MIN_PAIRS,
 ) -> tuple[PrincipalDirections, Array] | None:
     """Return the principal directions of an aligned pair, and the axes (6, k) that are open.
 
-    None is returned if too few surfaces meet.
+    None is returned if fewer than ``min_pairs`` points meet a surface.
     """
     (pairs,) = aligner.surface_pairs(query, np.array([match]), T_match_query[None])
-    directions = PrincipalDirections.of(pairs)
+    directions = PrincipalDirections.of(pairs, min_pairs)
     if directions is None:
         return None
     weak = directions.weak_axes

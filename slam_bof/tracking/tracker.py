@@ -95,6 +95,13 @@ class TrackingParams(Params):
         le=1,
         description="The same for a frame whose pose had to be searched for.",
     )
+    min_surface_ratio: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="Smallest share of the points that must meet a surface of the other view; with "
+        "fewer, an alignment may agree by chance, and the pose is that of odometry.",
+    )
     max_score_drop: float = Field(
         0.02,
         ge=0,
@@ -402,7 +409,8 @@ class Tracker:
         T_improved = self._improve(view_id, T_odom_view, T)
         if T_improved is not T:
             registration, T = self._evaluate(view_id, T_odom_view, T_improved), T_improved
-        found = open_directions(self._aligner, FRAME, view_id, T)
+        min_pairs = int(self.params.min_surface_ratio * self.params.alignment.n_points)
+        found = open_directions(self._aligner, FRAME, view_id, T, min_pairs=min_pairs)
         if found is None:  # too few surfaces to hold anything
             return self._evaluate(view_id, T_odom_view, T_view_guess)._replace(open_axes=np.eye(6))
         directions, open_axes = found

@@ -228,8 +228,16 @@ def test_odometry_that_drifts_past_a_wall_is_made_no_worse():
     assert se3.rotation_angle(found) < 0.3 * se3.rotation_angle(off[-1])
 
 
-def test_where_too_few_pixels_have_neighbours_exact_odometry_stays_exact():
-    case = DegenerateCase("glass", "wheeled", "kinect", 5.0)
+@pytest.mark.parametrize(
+    "case",
+    [
+        DegenerateCase("glass", "wheeled", "kinect", 5.0),
+        DegenerateCase("glass", "handheld", "kinect", 5.0),
+        DegenerateCase("glass", "handheld", "tof", 10.0),
+    ],
+    ids=lambda case: case.name,
+)
+def test_where_too_few_pixels_have_neighbours_exact_odometry_stays_exact(case):
     tracker = Tracker()
     truth = se3.inverse(case.poses()[0]) @ case.poses()
     for k, (frame, T) in enumerate(zip(render_case(case), truth, strict=True)):
