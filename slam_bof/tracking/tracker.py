@@ -96,7 +96,7 @@ class TrackingParams(Params):
         description="The same for a frame whose pose had to be searched for.",
     )
     min_surface_ratio: float = Field(
-        0.25,
+        0.1,
         ge=0,
         le=1,
         description="Smallest share of the points that must meet a surface of the other view; with "
