@@ -61,6 +61,7 @@ UNREADABLE = (
     ValueError,
     RuntimeError,  # a password, an unknown compression, endless nesting
     OverflowError,
+    OSError,  # a damaged bzip2 stream
 )
 """What the libraries raise for files that are no models."""
 

@@ -80,10 +80,13 @@ class MapDatabase:
             writing while another program writes to it.
         """
         path = Path(path)
-        if path.is_dir() and (path / "map.db").exists():
-            path = path / "map.db"
-        if not path.is_file():
-            found = "a folder" if path.is_dir() else "no file"
+        try:
+            if path.is_dir() and (path / "map.db").exists():
+                path = path / "map.db"
+            found = "" if path.is_file() else "a folder" if path.is_dir() else "no file"
+        except OSError as error:  # such as a name that is too long
+            found = str(error.strerror)
+        if found:
             raise MapError(f"{path}: found {found}, expected a map.db")
         with contextlib.ExitStack() as on_error:
             lock = None if read_only else on_error.enter_context(_WriterLock(path))

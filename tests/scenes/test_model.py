@@ -236,6 +236,19 @@ def test_a_damaged_byte_is_refused(file):
         models.load(file)
 
 
+@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_damaged_compression_is_refused(file, method):
+    file.write_bytes(b"")
+    with zipfile.ZipFile(file, "w", method) as archive:
+        archive.writestr("manifest.json", json.dumps({"format": list(range(2000))}))
+    data = bytearray(file.read_bytes())
+    for at in range(50, 80):  # past the header of the entry
+        data[at] ^= 0x55
+    file.write_bytes(data)
+    with pytest.raises(ModelError, match="not a model file"):
+        models.load(file)
+
+
 def test_a_type_that_is_not_trusted_is_refused(file):
     import skops.io
 

@@ -77,6 +77,11 @@ def test_a_killed_run_keeps_every_keyframe_it_added(path: Path) -> None:
         assert len(store.keyframes()) == 21
 
 
+def test_a_name_that_is_too_long_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(MapError, match=r"File name too long, expected a map\.db"):
+        MapStore.open(tmp_path / (300 * "x"))
+
+
 def test_a_new_map_does_not_overwrite_anything(path: Path) -> None:
     path.write_text("precious")
     with pytest.raises(MapError, match=r"map\.db: found a file, expected none"):
