@@ -156,7 +156,9 @@ def load(path: Path | str) -> Config:
     except FileNotFoundError:
         raise ConfigError(f"{path}: no such file, expected a YAML configuration") from None
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ConfigError(
+            f"{path}: found {error.strerror}, expected a YAML configuration"
+        ) from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: not a YAML file: {error}") from error
     return parse(text, str(path))

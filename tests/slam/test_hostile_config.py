@@ -66,5 +66,5 @@ def test_a_file_that_is_no_text_of_moderate_size_is_not_read(tmp_path: Path) -> 
     huge = tmp_path / "huge.yaml"
     with huge.open("wb") as file:
         file.truncate(1 << 40)
-    with pytest.raises(ConfigError, match=r"huge\.yaml: found 1099511627776 bytes, expected"):
+    with pytest.raises(ConfigError, match=r"huge\.yaml: found more than \d+ bytes, expected"):
         configs.load(huge)
