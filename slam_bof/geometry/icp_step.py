@@ -10,8 +10,9 @@ from slam_bof.geometry.projection import NORMAL_STEPS, OUTSIDE, ViewArrays, proj
 from slam_bof.geometry.view_stack import Floats, Indices
 from slam_bof.types import Array
 
-__all__ = ["associate", "refine"]
+__all__ = ["associate", "fill_derivative", "refine"]
 
+PER_STEP = 1.0 / NORMAL_STEPS
 MIN_COSINE = 0.6
 """Least cosine between the normals of points that match."""
 MIN_SPREAD = 0.02
@@ -89,14 +90,14 @@ def associate(
     indices = np.empty(len(points), np.intp)
     n = 0
     for k in range(len(points)):
-        x, y, z = points[k]
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
         pixel, _, _, depth_m = project(views, T, x, y, z)
         if pixel == OUTSIDE:
             continue
-        normal_x = views.normals[match, pixel, 0] / NORMAL_STEPS
-        normal_y = views.normals[match, pixel, 1] / NORMAL_STEPS
-        normal_z = views.normals[match, pixel, 2] / NORMAL_STEPS
-        p, q, r = normals[k]
+        normal_x = views.normals[match, pixel, 0] * PER_STEP
+        normal_y = views.normals[match, pixel, 1] * PER_STEP
+        normal_z = views.normals[match, pixel, 2] * PER_STEP
+        p, q, r = normals[k, 0], normals[k, 1], normals[k, 2]
         facing_x = T[0, 0] * p + T[0, 1] * q + T[0, 2] * r
         facing_y = T[1, 0] * p + T[1, 1] * q + T[1, 2] * r
         facing_z = T[2, 0] * p + T[2, 1] * q + T[2, 2] * r
@@ -144,24 +145,16 @@ def _solve_step(pairs: Array, gate_m: float) -> Array:
             centre[i] += weights[k] * pairs[k, i]
             square += weights[k] * pairs[k, i] * pairs[k, i]
     radius_m = np.sqrt(max(square - (centre * centre).sum(), 1e-4))
-    products = np.zeros((6, 7))
-    row, instrument = np.empty(7), np.empty(6)
+    instruments, rows = np.empty((len(pairs), 6)), np.empty((len(pairs), 7))
     for k in range(len(pairs)):
         x = (pairs[k, 0] - centre[0]) / radius_m
         y = (pairs[k, 1] - centre[1]) / radius_m
         z = (pairs[k, 2] - centre[2]) / radius_m
-        for vector, first in ((instrument, 3), (row, 6)):
-            p, q, r = pairs[k, first], pairs[k, first + 1], pairs[k, first + 2]
-            vector[0], vector[1], vector[2] = y * r - z * q, z * p - x * r, x * q - y * p
-            vector[3], vector[4], vector[5] = p, q, r
-        row[6] = pairs[k, 9]
-        for i in range(6):
-            for j in range(7):
-                products[i, j] += weights[k] * instrument[i] * row[j]
-    symmetric = np.empty((6, 6))
-    for i in range(6):
-        for j in range(6):
-            symmetric[i, j] = 0.5 * (products[i, j] + products[j, i])
+        fill_derivative(instruments[k], x, y, z, pairs[k, 3:6], weights[k])
+        fill_derivative(rows[k], x, y, z, pairs[k, 6:9], 1.0)
+        rows[k, 6] = pairs[k, 9]
+    products = instruments.T @ rows
+    symmetric = 0.5 * (products[:, :6] + products[:, :6].T)
     values, vectors = np.linalg.eigh(symmetric)
     for j in range(6):
         gain = max(values[j], 0.0) / (values[j] * values[j] + MIN_INFORMATION * MIN_INFORMATION)
@@ -176,6 +169,14 @@ def _solve_step(pairs: Array, gate_m: float) -> Array:
     step[4] += centre[2] * step[0] - centre[0] * step[2]
     step[5] += centre[0] * step[1] - centre[1] * step[0]
     return step
+
+
+@compiled
+def fill_derivative(row: Array, x: float, y: float, z: float, normal: Array, weight: float) -> None:
+    """Fill in how a point's distance along a normal changes with its rotation and translation."""
+    p, q, r = weight * normal[0], weight * normal[1], weight * normal[2]
+    row[0], row[1], row[2] = y * r - z * q, z * p - x * r, x * q - y * p
+    row[3], row[4], row[5] = p, q, r
 
 
 @compiled

@@ -14,6 +14,7 @@ import numpy as np
 
 from slam_bof.core import compiled
 from slam_bof.geometry import se3
+from slam_bof.geometry.icp_step import fill_derivative
 from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.types import Array, Pose
 
@@ -138,19 +139,14 @@ def _cross_information(
             centre[i] += points[k, i] / m
             square += points[k, i] * points[k, i] / m
     radius_m = max(np.sqrt(max(square - (centre * centre).sum(), 0.0)), MIN_RADIUS_M)
-    cross = np.zeros((6, 6))
-    by_query, by_match = np.empty(6), np.empty(6)
+    by_query, by_match = np.empty((m, 6)), np.empty((m, 6))
     for k in range(m):
         x = (points[k, 0] - centre[0]) / radius_m
         y = (points[k, 1] - centre[1]) / radius_m
         z = (points[k, 2] - centre[2]) / radius_m
-        for row, normal in ((by_query, normals_query[k]), (by_match, normals_match[k])):
-            p, q, r = normal[0], normal[1], normal[2]
-            row[0], row[1], row[2] = y * r - z * q, z * p - x * r, x * q - y * p
-            row[3], row[4], row[5] = p, q, r
-        for i in range(6):
-            for j in range(6):
-                cross[i, j] += by_query[i] * by_match[j] / m
+        fill_derivative(by_query[k], x, y, z, normals_query[k], 1.0 / m)
+        fill_derivative(by_match[k], x, y, z, normals_match[k], 1.0)
+    cross = by_query.T @ by_match
     return centre, radius_m, cross
 
 

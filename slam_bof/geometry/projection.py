@@ -52,8 +52,9 @@ def project(
     depth_m = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
     if not depth_m > NEAR_M:
         return OUTSIDE, 0.0, 0.0, depth_m
-    u = views.fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) / depth_m + views.cx
-    v = views.fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) / depth_m + views.cy
+    inverse = 1.0 / depth_m
+    u = views.fx * inverse * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) + views.cx
+    v = views.fy * inverse * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) + views.cy
     column, row = np.rint(u), np.rint(v)
     if not (0 <= column < views.width and 0 <= row < views.height):
         return OUTSIDE, 0.0, 0.0, depth_m
