@@ -8,6 +8,7 @@ starting poses, scored by few points, is followed by point-to-plane ICP with pro
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.geometry import se3
-from slam_bof.geometry.depth_view import DepthView
+from slam_bof.geometry.depth_view import DepthView, make_view
 from slam_bof.geometry.icp_step import associate, refine
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
@@ -28,9 +29,9 @@ from slam_bof.geometry.visibility import (
     coverage,
     score_poses,
 )
-from slam_bof.types import Array, Params
+from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
-__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
+__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner", "compile_alignment"]
 
 ORBIT_M = 2.0
 """Half of the random motions turn about a point this far ahead, so that it stays in view."""
@@ -168,7 +169,7 @@ class ViewAligner:
         return self.refine(query, matches, self._search(query, matches, starts))
 
     def refine(self, query: int, matches: Indices, T_match_query: Array) -> Array:
-        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch.
+        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
 
         Pairs that have come to rest wait for the last iterations, whose gates are the narrowest.
         """
@@ -178,7 +179,7 @@ class ViewAligner:
             self._views.arrays(),
             self._views.rows(matches),
             *self._views.surface(query),
-            T_match_query.astype(np.float64),
+            np.ascontiguousarray(T_match_query, np.float64),
             np.geomspace(*p.gates_m, p.n_iterations),
             np.where(fine, p.n_points, min(p.n_points, p.n_coarse_points)),
             p.min_step,
@@ -250,6 +251,21 @@ class ViewAligner:
             starts = np.take_along_axis(tried, best[..., None, None], axis=1)
             tolerance = tolerance * 0.7
         return starts[:, 0]
+
+
+@cache
+def compile_alignment() -> None:
+    """Compile alignment, or load it from the disk, before a first frame would wait for it."""
+    aligner = ViewAligner(AlignmentParams())
+    camera = Intrinsics(32, 24, 28.0, 28.0, 15.5, 11.5)
+    wall = DepthFrame(0.0, np.full((camera.height, camera.width), 2.0, np.float32), camera)
+    for _ in range(2):
+        aligner.add(make_view(wall))
+    matches, T = np.array([0]), np.eye(4)[None]
+    aligner.align(1, matches, T[None])
+    aligner.agreement(1, matches, T)
+    aligner.agreement_score(1, matches, T)
+    aligner.surface_pairs(1, matches, T)
 
 
 def _random_motions(params: AlignmentParams, seed: int) -> list[Array]:

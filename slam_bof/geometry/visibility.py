@@ -87,6 +87,7 @@ def classify_points(
     ``tolerance`` is that of depth, in m and as a share of depth.
     """
     each = points if points.ndim == 3 else points[None]
+    T = np.ascontiguousarray(T, np.float64)
     return PointVisibility(*_classify(views.arrays(), views.rows(frames), each, T, *tolerance))
 
 
@@ -148,6 +149,7 @@ def agreement_score(
     arrays = views.arrays()
     own, theirs = views.sampled(query, N_SCORE_POINTS), views.sampled(matches, N_SCORE_POINTS)
     asked = np.full(len(matches), views.rows(query))
+    T_match_query = np.ascontiguousarray(T_match_query, np.float64)
     worth, n_visible = _worth(arrays, views.rows(matches), own[None], T_match_query)
     worth_back, n_visible_back = _worth(arrays, asked, theirs, se3.inverse(T_match_query))
     score = (worth + worth_back) / np.maximum(n_visible + n_visible_back, 1)
