@@ -5,5 +5,7 @@ from .keyframe_selection import (
 from .tracker import (
     Track as Track,
     Tracker as Tracker,
+)
+from .tracking_params import (
     TrackingParams as TrackingParams,
 )

@@ -16,122 +16,26 @@ from frame to frame it may be the more precise of the two.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
-from pydantic import Field
 
-from slam_bof.geometry import (
-    AlignmentParams,
-    DepthView,
-    ViewAligner,
-    make_view,
-    open_directions,
-    se3,
-    search_weak_directions,
-)
+from slam_bof.geometry import se3
+from slam_bof.tracking.frame_finder import NO_AXES, Found, FrameFinder, RecentPoses
 from slam_bof.tracking.odometry_fusion import OdometryFusion
-from slam_bof.types import Array, DepthFrame, Params, Pose
+from slam_bof.tracking.tracking_params import TrackingParams
+from slam_bof.types import Array, DepthFrame, Pose
 
-__all__ = ["Track", "Tracker", "TrackingParams"]
+__all__ = ["Track", "Tracker"]
 
-KEYFRAME, FRAME, BEFORE = 0, 1, 2
-"""Views that the aligner holds: the last keyframe, the frame and, if asked, the one before it."""
-
-MARGIN = 0.1
-"""The pose by odometry must agree better by this much to be preferred to the aligned one, which is
-more precise than agreement can tell."""
-REFERENCE_RATIO_RANGE = 0.5, 0.85
-"""The first frame after the first keyframe sets the usual inlier ratio, within these limits."""
-FORGETTING = 0.1
-"""Weight of each later frame in the usual inlier ratio, score and free-space violation."""
 MAX_LEAP, LEAP = np.array([0.7, 0.7]), 5.0
 """Odometry that moves farther than this, in rad and m, and farther than usual by this factor, is
 not believed where no view confirms it."""
+FORGETTING = 0.1
+"""Weight of each later step in the usual one."""
 OPEN_VARIANCE = 1e4
 """Variance of alignment along open directions."""
-NO_AXES: Array = np.empty((6, 0))
-
-
-class TrackingParams(Params):
-    """What a frame must have in common with the keyframe, or with the frame before.
-
-    Of the points that fall where the other view has a depth, agreement is the share that lies at
-    that depth. A wrong pose in the same room may reach 0.7; what a right one has depends on the
-    sensor (a structured-light camera 0.95, a stereo camera 0.8), so it is held against what is
-    usual.
-    """
-
-    enabled: bool = Field(
-        True,
-        description="Whether frames are tracked; without, odometry is taken as it is.",
-    )
-    alignment: AlignmentParams = AlignmentParams(
-        n_points=1000, n_iterations=8, gates_m=(0.15, 0.03)
-    )
-    max_inlier_drop: float = Field(
-        0.2,
-        ge=0,
-        le=1,
-        description="Largest drop of the inlier ratio below its running mean at which a frame "
-        "still counts as tracked.",
-    )
-    max_inlier_drop_relocalised: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="The same for a frame whose pose had to be searched for.",
-    )
-    min_visible_ratio: float = Field(
-        0.2,
-        ge=0,
-        le=1,
-        description="Smallest share of points that fall where the other view has a depth.",
-    )
-    min_visible_ratio_relocalised: float = Field(
-        0.4,
-        ge=0,
-        le=1,
-        description="The same for a frame whose pose had to be searched for.",
-    )
-    min_surface_ratio: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="Smallest share of the points that must meet a surface of the other view; with "
-        "fewer, an alignment may agree by chance, and the pose is that of odometry.",
-    )
-    max_score_drop: float = Field(
-        0.02,
-        ge=0,
-        description="Largest drop of the agreement score below its running mean at which no other "
-        "starts are tried.",
-    )
-    max_free_space_violation: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="Largest share of points in front of what the other view sees, above its "
-        "running mean, at which odometry is believed although the views do not agree.",
-    )
-    alignment_sigma_rad: float = Field(
-        0.002,
-        gt=0,
-        description="Standard deviation of the rotation by alignment, in rad, against which a "
-        "covariance of odometry is weighted.",
-    )
-    alignment_sigma_m: float = Field(
-        0.005,
-        gt=0,
-        description="The same for the translation, in m.",
-    )
-    min_valid_pixel_ratio: float = Field(
-        0.05,
-        ge=0,
-        le=1,
-        description="Smallest share of pixels with a depth.",
-    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,29 +59,6 @@ class Track:
     step_covariance: Array | None = None
 
 
-class _Registration(NamedTuple):
-    """A pose of the frame, and how far it agrees with a view."""
-
-    T_odom_frame: Pose
-    agreement: float
-    """Share of inliers among the points that can be compared."""
-    visible_ratio: float
-    """Share of the points that can be compared."""
-    free_space_violation: float
-    open_axes: Array = NO_AXES
-    """Tangents (6, k) of the pose along which the surfaces hold nothing."""
-
-
-class _Found(NamedTuple):
-    """Where a frame is, what the keyframe sees of it, and whether it follows the one before."""
-
-    T_odom_camera: Pose | None
-    """None if only odometry tells."""
-    inlier_ratio: float
-    is_followed: bool
-    open_axes: Array = NO_AXES
-
-
 class Tracker:
     """Takes each frame with its odometry pose, and is told which ones become keyframes."""
 
@@ -189,17 +70,13 @@ class Tracker:
         """Whether odometry is known to be about as precise as alignment, so that it is believed
         where a frame cannot be aligned with the keyframe."""
         self.n_lost = 0
-        self._usual_step = np.zeros(2)  # rad and m, a running mean
-        self._aligner = ViewAligner(self.params.alignment, seed=seed)
+        self._finder = FrameFinder(self.params, seed=seed)
+        self._fusion = OdometryFusion()
         self._segment = segment
         self._is_lost = False
-        self._seed = seed
-        self._reference_inlier_ratio = float("nan")
-        self._reference_score = float("nan")
-        self._reference_violation = 0.0
-        self._view: DepthView | None = None
-        self._fusion = OdometryFusion()
-        self._T_last = self._T_before = self._T_known = self._T_keyframe = np.eye(4)
+        self._has_keyframe = False
+        self._recent = RecentPoses(np.eye(4), np.eye(4), np.eye(4), np.eye(4))
+        self._usual_step = np.zeros(2)  # rad and m, a running mean
         self._T_odometry = self._T_odometry_keyframe = np.eye(4)
         self._covariance: Array | None = None
 
@@ -223,17 +100,20 @@ class Tracker:
                 float("nan"),
                 step_covariance=self._covariance,
             )
-        before, self._view = self._view, self._look(frame)
+        self._finder.look(frame)
         T_guess = self._fusion.predict(T_odom_camera)
-        found = self._find(before, T_guess)
-        is_followed = found is not None and found.is_followed
-        can_trust = self.trusts_odometry and self._view is not None and not self._leaps(T_guess)
-        if can_trust and not is_followed:
-            found = _Found(None, float("nan"), True)
+        leaps = self._leaps(T_guess)
+        found = self._finder.find(T_guess, self._recent, is_lost=self._is_lost, leaps=leaps)
+        can_trust = self.trusts_odometry and self._finder.sees_enough and not leaps
+        if can_trust and not (found and found.is_followed):
+            found = Found(None, float("nan"), True)
         is_lost = found is None
-        if is_lost and not self._is_lost and len(self._aligner):
+        if is_lost and not self._is_lost and self._has_keyframe:
             self.n_lost += 1
-        T, inlier_ratio, is_followed, open_axes = found or _Found(T_guess, float("nan"), False)
+        T, inlier_ratio, is_followed, open_axes, begins_segment = found or Found(
+            T_guess, float("nan"), False
+        )
+        self._segment += begins_segment
         step_covariance = None
         if T is None:
             T, step_covariance = T_guess, self._covariance
@@ -246,134 +126,52 @@ class Tracker:
         if not is_followed:
             self._fusion.restart(T_odom_camera, T)
             # What odometry says of the step up to here does not hold any more.
-            self._T_odometry_keyframe = T_odom_camera @ se3.inverse(T) @ self._T_keyframe
-        if not is_lost:
-            self._T_known = T
-        self._T_before, self._T_last, self._is_lost = self._T_last, T, is_lost
+            self._T_odometry_keyframe = T_odom_camera @ se3.inverse(T) @ self._recent.T_keyframe
+        recent = self._recent
+        self._recent = RecentPoses(
+            recent.T_keyframe, T, recent.T_last, recent.T_known if is_lost else T
+        )
+        self._is_lost = is_lost
         return Track(T, is_lost, self._segment, inlier_ratio, open_axes, step_covariance)
 
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
         self._T_odometry_keyframe = self._T_odometry
         self._covariance = None if self._covariance is None else np.zeros((6, 6))
-        if self._view is not None:
-            self._aligner.truncate(KEYFRAME)
-            self._aligner.add(self._view)
-            self._T_keyframe = self._T_last
+        if self._finder.keep():
+            self._has_keyframe = True
+            self._recent = replace(self._recent, T_keyframe=self._recent.T_last)
             self._fusion.change_reference()
 
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
-        reference = None if np.isnan(self._reference_inlier_ratio) else self._reference_inlier_ratio
-        score = None if np.isnan(self._reference_score) else self._reference_score
         return {
             "n_lost": self.n_lost,
-            "usual": reference,
-            "usual_score": score,
-            "usual_violation": self._reference_violation,
-            "T_before": self._T_before.tolist(),
+            "T_before": self._recent.T_before.tolist(),
             "T_odometry": self._T_odometry.tolist(),
             "usual_step": self._usual_step.tolist(),
             "fusion": self._fusion.state(),
+            **self._finder.state(),
         }
 
     def restore(self, state: dict[str, Any], frame: DepthFrame, track: Track) -> None:
         """Go on from a keyframe: its frame, and where it was found to be."""
         self.n_lost = state["n_lost"]
-        self._reference_inlier_ratio = float("nan") if state["usual"] is None else state["usual"]
-        # Maps that were saved before scores were measured do not have them.
-        score = state.get("usual_score")
-        self._reference_score = float("nan") if score is None else score
-        self._reference_violation = state.get("usual_violation", 0.0)
         self._segment = track.segment
+        self._finder.restore(state)
         if self.params.enabled:
-            self._view = self._look(frame)
+            self._finder.look(frame)
             self._is_lost = False
-            self._T_last = self._T_known = track.T_odom_camera
-            self._T_before = np.array(state.get("T_before", track.T_odom_camera))
-            self._T_odometry = np.array(state.get("T_odometry", track.T_odom_camera))
+            T = track.T_odom_camera
+            self._recent = RecentPoses(T, T, np.array(state.get("T_before", T)), T)
+            self._T_odometry = np.array(state.get("T_odometry", T))
             self.keep()
             self._usual_step = np.array(state.get("usual_step", [0.0, 0.0]))
             self._fusion.restore(state["fusion"])
 
-    def _look(self, frame: DepthFrame) -> DepthView | None:
-        """Return the frame's view if it shows enough."""
-        view = make_view(frame)
-        n_visible = np.count_nonzero(view.depth_m)
-        return view if n_visible >= self.params.min_valid_pixel_ratio * view.depth_m.size else None
-
-    def _find(self, before: DepthView | None, T_guess: Pose) -> _Found | None:
-        """Return where the frame is; nothing if it is lost."""
-        if self._view is None:
-            return None
-        if len(self._aligner) == 0:
-            return _Found(T_guess, 1.0, False)
-        self._aligner.truncate(FRAME)
-        self._aligner.add(self._view)
-        followed = self._follow(KEYFRAME, self._T_keyframe, T_guess)
-        inlier_ratio = followed.agreement * followed.visible_ratio
-        if np.isnan(self._reference_inlier_ratio):
-            self._reference_inlier_ratio = float(
-                np.clip(followed.agreement, *REFERENCE_RATIO_RANGE)
-            )
-        # Where odometry leaps, the pose was found by a search.
-        agrees = self._is_good if self._leaps(T_guess) else self._is_usual
-        if not self._is_lost and agrees(followed):
-            self._reference_inlier_ratio += FORGETTING * (
-                followed.agreement - self._reference_inlier_ratio
-            )
-            self._reference_violation += FORGETTING * (
-                followed.free_space_violation - self._reference_violation
-            )
-            return _Found(followed.T_odom_frame, inlier_ratio, True, followed.open_axes)
-        from_before = None
-        if before is not None:
-            self._aligner.add(before)
-            from_before = self._follow(BEFORE, self._T_last, T_guess)
-            if not self._is_lost and agrees(from_before):
-                return _Found(from_before.T_odom_frame, inlier_ratio, False)
-        searched = self._search(T_guess)
-        if self._is_good(searched):
-            return _Found(searched.T_odom_frame, searched.agreement * searched.visible_ratio, False)
-        if self._is_lost and from_before and self._is_good(from_before):
-            self._segment += 1
-            return _Found(from_before.T_odom_frame, 0.0, False)
-        if not self._is_lost and not self._is_contradicted(T_guess, before):
-            return _Found(None, float("nan"), True)
-        return None
-
-    def _is_usual(self, registration: _Registration) -> bool:
-        p = self.params
-        return (
-            registration.visible_ratio >= p.min_visible_ratio
-            and registration.agreement >= self._reference_inlier_ratio - p.max_inlier_drop
-        )
-
-    def _is_good(self, registration: _Registration) -> bool:
-        p = self.params
-        return (
-            registration.visible_ratio >= p.min_visible_ratio_relocalised
-            and registration.agreement
-            >= self._reference_inlier_ratio - p.max_inlier_drop_relocalised
-        )
-
-    def _is_contradicted(self, T_guess: Pose, before: DepthView | None) -> bool:
-        """Return whether a view contradicts odometry, or odometry leaps out of what both see."""
-        p = self.params
-        views = [(KEYFRAME, self._T_keyframe)]
-        if before is not None:
-            views.append((BEFORE, self._T_last))
-        at_guess = [self._evaluate(k, T, se3.inverse(T) @ T_guess) for k, T in views]
-        limit = self._reference_violation + p.max_free_space_violation
-        if any(registration.free_space_violation > limit for registration in at_guess):
-            return True
-        if any(registration.visible_ratio >= p.min_visible_ratio for registration in at_guess):
-            return False
-        return self._leaps(T_guess)
-
     def _leaps(self, T_guess: Pose) -> bool:
         """Return whether the step of odometry is too large, as steps go, to be believed unseen."""
-        step = _moved(se3.inverse(self._T_last) @ T_guess)
+        step = _moved(se3.inverse(self._recent.T_last) @ T_guess)
         return bool((step > np.maximum(MAX_LEAP, LEAP * self._usual_step)).any())
 
     def _add_covariance(self, covariance: Array | None) -> None:
@@ -391,75 +189,13 @@ class Tracker:
         """
         sigma = np.repeat([self.params.alignment_sigma_rad, self.params.alignment_sigma_m], 3)
         step = se3.inverse(self._T_odometry_keyframe) @ T_odometry
-        T_by_odometry = self._T_keyframe @ step
+        T_by_odometry = self._recent.T_keyframe @ step
         of_alignment = np.diag(np.square(sigma)) + OPEN_VARIANCE * open_axes @ open_axes.T
         gain = covariance @ np.linalg.inv(covariance + of_alignment)
         difference = se3.log(se3.inverse(T_by_odometry) @ T_aligned)
         T = T_by_odometry @ se3.exp(gain @ difference)
         self._fusion.carry(T @ se3.inverse(T_aligned))
         return T, covariance - gain @ covariance
-
-    def _follow(self, view_id: int, T_odom_view: Pose, T_guess: Pose) -> _Registration:
-        """Align the frame with a view from where odometry has it, or from elsewhere if in doubt."""
-        T_view_guess = se3.inverse(T_odom_view) @ T_guess
-        T = self._aligner.refine(FRAME, np.array([view_id]), T_view_guess[None])[0]
-        registration = self._evaluate(view_id, T_odom_view, T)
-        if registration.agreement <= 1.0 - MARGIN:
-            guessed = self._evaluate(view_id, T_odom_view, T_view_guess)
-            if guessed.agreement > registration.agreement + MARGIN:
-                registration, T = guessed, T_view_guess
-        T_improved = self._improve(view_id, T_odom_view, T)
-        if T_improved is not T:
-            registration, T = self._evaluate(view_id, T_odom_view, T_improved), T_improved
-        min_pairs = int(self.params.min_surface_ratio * self.params.alignment.n_points)
-        found = open_directions(self._aligner, FRAME, view_id, T, min_pairs=min_pairs)
-        if found is None:  # too few surfaces to hold anything
-            return self._evaluate(view_id, T_odom_view, T_view_guess)._replace(open_axes=np.eye(6))
-        directions, open_axes = found
-        if open_axes.shape[1] == 0:
-            return registration
-        T = directions.keep(open_axes, T, T_view_guess)
-        tangents: Array = np.asarray(np.linalg.solve(directions.of_tangent(), open_axes))
-        return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=tangents)
-
-    def _improve(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> Pose:
-        """Return a better pose if the views agree less than usual and there is one."""
-        score = self._score(view_id, T_view_frame)
-        # Nothing is usual yet at first, so the comparison is false and a better pose is looked for.
-        if not score >= self._reference_score - self.params.max_score_drop:
-            T_view_last = se3.inverse(T_odom_view) @ self._T_last
-            step = se3.inverse(self._T_before) @ self._T_last
-            starts = np.stack([T_view_last, T_view_last @ step])
-            T_view_frame = search_weak_directions(
-                self._aligner, FRAME, view_id, T_view_frame, starts, seed=self._seed
-            )
-            score = self._score(view_id, T_view_frame)
-        if view_id == KEYFRAME:
-            if np.isnan(self._reference_score):
-                self._reference_score = score
-            self._reference_score += FORGETTING * (score - self._reference_score)
-        return T_view_frame
-
-    def _score(self, view_id: int, T_view_frame: Pose) -> float:
-        found = self._aligner.agreement_score(FRAME, np.array([view_id]), T_view_frame[None])
-        return float(found.score[0])
-
-    def _search(self, T_guess: Pose) -> _Registration:
-        """Align it with the keyframe from poses about the guess, and about the last one known."""
-        starts = se3.inverse(self._T_keyframe) @ np.stack([T_guess, self._T_known])
-        (T_keyframe_frame,) = self._aligner.align(FRAME, np.array([KEYFRAME]), starts[None])
-        return self._evaluate(KEYFRAME, self._T_keyframe, T_keyframe_frame)
-
-    def _evaluate(self, view_id: int, T_odom_view: Pose, T_view_frame: Pose) -> _Registration:
-        """Measure how far the frame agrees with a view at a pose."""
-        found = self._aligner.agreement(FRAME, np.array([view_id]), T_view_frame[None])
-        inlier_ratio, visible_ratio = float(found.inlier_ratio[0]), float(found.visible_ratio[0])
-        return _Registration(
-            T_odom_view @ T_view_frame,
-            inlier_ratio / max(visible_ratio, 1e-9),
-            visible_ratio,
-            float(found.free_space_violation[0]),
-        )
 
 
 def _moved(step: Pose) -> Array:
