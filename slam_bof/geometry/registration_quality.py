@@ -31,7 +31,7 @@ class RegistrationQualityParams(Params):
         description="Largest root mean square of point-to-plane residuals, in m.",
     )
     min_stiffness: float = Field(
-        0.002,
+        0.0007,
         ge=0,
         description="Smallest eigenvalue of the information for each point.",
     )

@@ -3,7 +3,7 @@ import pytest
 from conftest import CAMERA, box_room_depth_mm
 
 from slam_bof.geometry import make_view, quantize_depth, restore_frame, subsample, view_points
-from slam_bof.geometry.depth_view import surface_normals
+from slam_bof.geometry.depth_view import smooth_depth, surface_normals
 from slam_bof.types import DepthFrame, Intrinsics, SensorParams
 
 
@@ -14,7 +14,9 @@ def test_a_view_is_every_eighth_pixel_of_a_vga_image(look, standpoint):
     frame = look(T, 0)
     view, points_camera = make_view(frame), view_points(frame)
     assert (view.intrinsics.width, view.intrinsics.height) == (80, 60)
-    np.testing.assert_array_equal(view.depth_m, frame.depth_m(8))
+    np.testing.assert_array_equal(view.depth_m > 0, frame.depth_m(8) > 0)
+    off = np.abs(view.depth_m / np.where(view.depth_m > 0, frame.depth_m(8), 1) - 1)
+    assert np.median(off[view.depth_m > 0]) < 0.01  # what noise there is
     assert len(points_camera) == np.count_nonzero(frame.depth_m(4))
     x, y, z = points_camera.T
     camera = frame.intrinsics
@@ -32,6 +34,36 @@ def test_other_image_sizes_become_about_as_small(width, height):
     assert 40 <= view.intrinsics.width <= 110
     across = points_camera[:, 0].max() - points_camera[:, 0].min()
     assert across == pytest.approx(2.0 / 0.9, rel=0.05)
+
+
+def slope(noise=0.0):
+    """Depth (60, 80) of a plane that leans back; noise is that of the inverse depth."""
+    row, column = np.mgrid[:60, :80]
+    inverse = 0.5 - 0.003 * row + 0.001 * column
+    inverse += noise * np.random.default_rng(0).standard_normal(inverse.shape)
+    return (1.0 / inverse).astype(np.float32)
+
+
+def test_smoothing_does_not_move_a_plane():
+    np.testing.assert_allclose(smooth_depth(slope()), slope()[::2, ::2], rtol=1e-6)
+
+
+def test_smoothing_reduces_noise_to_less_than_half():
+    exact, rough = slope()[::2, ::2], slope(noise=0.003)
+    inside = np.s_[1:-1, 1:-1]  # the border has no neighbours on either side
+    before = np.std(1.0 / rough[::2, ::2][inside] - 1.0 / exact[inside])
+    after = np.std(1.0 / smooth_depth(rough)[inside] - 1.0 / exact[inside])
+    assert after < 0.45 * before
+
+
+def test_smoothing_keeps_edges_and_holes():
+    depth = slope(noise=0.001)
+    depth[:, 40:] *= 0.8  # something in front
+    depth[20:23, 10:13] = 0.0
+    smooth = smooth_depth(depth)
+    np.testing.assert_array_equal(smooth == 0.0, depth[::2, ::2] == 0.0)
+    for column in (19, 20):  # on either side of the edge
+        np.testing.assert_allclose(smooth[:, column], depth[::2, 2 * column], rtol=0.02)
 
 
 def test_depths_out_of_range_are_dropped():
