@@ -30,6 +30,7 @@ VIEWER_PORT = 9876
 COLORS = {
     "path": (47, 109, 181),
     "odometry": (208, 138, 78),
+    "corrected": (26, 54, 110),
     "loop": (58, 154, 106),
     Decision.REJECTED: (196, 72, 72),
     Decision.HELD: (214, 184, 70),
@@ -119,10 +120,12 @@ class MapSpace:
         R, t = T_map_camera[:3, :3], T_map_camera[:3, 3]
         self.log("camera", self._rr.Transform3D(translation=t, mat3x3=R))
 
-    def show_path(self, name: str, keyframe_id: int, positions_map: Iterable[Array]) -> None:
-        """Show the way (N, 3) to a keyframe, of the ``path`` or of ``odometry``."""
+    def show_path(
+        self, name: str, number: int, positions_map: Iterable[Array], *, static: bool = False
+    ) -> None:
+        """Show the way (N, 3) to a keyframe: the ``path``, ``odometry``, or as ``corrected``."""
         strip = self._rr.LineStrips3D([list(positions_map)], colors=[COLORS[name]])
-        self.log(f"{name}/{keyframe_id}", strip)
+        self.log(f"{name}/{number}", strip, static=static)
 
     def show_positions(self, positions_map: Array, ids: Sequence[int], component: int) -> None:
         """Show where keyframes (K, 3) are, at all times, in the colour of their component."""
@@ -146,9 +149,17 @@ class MapSpace:
         )
         self.log(f"rooms/{room.id}", box, static=True)
 
-    def add_keyframe(self, keyframe_id: int, T_map_camera: Pose) -> None:
-        """Remember where a keyframe is, for its loops."""
+    def show_keyframe(self, keyframe_id: int, T_map_camera: Pose, label: str | None) -> None:
+        """Show where a keyframe is as it comes, in the colour of its label."""
         self._positions[keyframe_id] = T_map_camera[:3, 3]
+        point = self._rr.Points3D(
+            [T_map_camera[:3, 3]],
+            radii=0.03,
+            colors=[_color(label)],
+            labels=[f"keyframe {keyframe_id}, {label or 'no label'}"],
+            show_labels=False,
+        )
+        self.log(f"keyframes/{keyframe_id}", point)
 
     def show_frame(
         self, keyframe_id: int, frame: DepthFrame, T_map_camera: Pose, label: str | None, *,
