@@ -86,6 +86,8 @@ class _MapView:
     def show(self, recording: RerunRecording) -> None:
         """Show positions and rooms from the start, and all else with its keyframe."""
         spaces = self._spaces(recording)
+        largest_first = sorted(spaces.values(), key=lambda space: space.root != "map")
+        recording.arrange([space.root for space in largest_first])
         ways = self._ways()
         for keyframe in self.keyframes:
             k = keyframe.id

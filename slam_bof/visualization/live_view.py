@@ -42,6 +42,7 @@ class LiveView:
     def __init__(self, observer: Observer, dataset: Dataset, target: str) -> None:
         self.recording = RerunRecording(dataset.sequence, target)
         self._observer, self._dataset = observer, dataset
+        self.recording.arrange(["map"], series=["health", "time"])
         self._map = MapSpace(self.recording)
         self._paths: dict[str, list[Array]] = {"path": [], "odometry": []}
         self._last_s = time.perf_counter()

@@ -79,6 +79,22 @@ class RerunRecording:
         """Write what has not been written yet."""
         self._stream.disconnect()
 
+    def arrange(self, spaces: Sequence[str], *, series: Sequence[str] = ()) -> None:
+        """Lay out the viewer: spaces to the left, and beside them depth, texts and time series."""
+        from rerun import blueprint as layout
+
+        texts = [layout.TextLogView(origin=f"/{name}", name=name) for name in ("loops", "scene")]
+        if not series:  # of a saved map, which has a page of each keyframe
+            texts.insert(0, layout.TextDocumentView(origin="/keyframe", name="keyframe"))
+        beside = layout.Vertical(
+            layout.Spatial2DView(origin=f"/{spaces[0]}/camera/depth", name="depth"),
+            layout.Tabs(*texts),
+            *(layout.TimeSeriesView(origin=f"/{name}", name=name) for name in series),
+        )
+        views = [layout.Spatial3DView(origin=f"/{name}", name=name) for name in spaces]
+        whole = layout.Horizontal(layout.Tabs(*views), beside, column_shares=[2, 1])
+        self._stream.send_blueprint(layout.Blueprint(whole, collapse_panels=True))
+
     def set_time(self, timeline: str, number: int) -> None:
         """Set the place on a timeline of what is logged from now on."""
         self._stream.set_time(timeline, sequence=number)
@@ -106,14 +122,14 @@ class MapSpace:
     """One space of a recording: keyframes whose poses in the map are comparable."""
 
     def __init__(self, recording: RerunRecording, root: str = "map") -> None:
-        self._recording, self._rr, self._root = recording, recording.rr, root
+        self._recording, self._rr, self.root = recording, recording.rr, root
         self._positions: dict[int, Array] = {}
         self._voxels: set[int] = set()
         self.log("", self._rr.ViewCoordinates.RDF, static=True)
 
     def log(self, path: str, content: Any, *, static: bool = False) -> None:
         """Log a component of rerun in this space."""
-        self._recording.log(f"{self._root}/{path}".rstrip("/"), content, static=static)
+        self._recording.log(f"{self.root}/{path}".rstrip("/"), content, static=static)
 
     def show_camera(self, T_map_camera: Pose) -> None:
         """Move the camera."""
