@@ -15,10 +15,11 @@ pytest.importorskip("rclpy", reason="needs ROS 2: pip install -e '.[ros]', or a 
 def test_topics_latency_and_processes_are_measured(write_turn, tmp_path):
     write_turn(tmp_path / "room" / "seq-01", np.linspace(0.0, 0.5, 10).tolist())
     paths = [ROOT, ROOT / "plugins", ROOT / "plugins" / "slam_bof_ros"]
+    known = filter(None, [os.environ.get("PYTHONPATH")])
     done = subprocess.run(
         [sys.executable, str(ROOT / "scripts" / "measure_node"), str(tmp_path / "room" / "seq-01"),
          "--rate", "4", "--json"],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, paths), *known])},
         capture_output=True, text=True, timeout=240, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

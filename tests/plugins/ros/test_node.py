@@ -48,7 +48,8 @@ def environment() -> Iterator[dict[str, str]]:
     before = {name: os.environ.get(name) for name in ours}
     os.environ.update(ours)
     paths = [ROOT, ROOT / "plugins", ROOT / "plugins" / "slam_bof_ros"]
-    yield {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
+    known = filter(None, [os.environ.get("PYTHONPATH")])
+    yield {**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, paths), *known])}
     for name, value in before.items():
         if value is None:
             del os.environ[name]
