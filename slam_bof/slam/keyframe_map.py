@@ -142,7 +142,14 @@ class KeyframeMap:
 
     def outline(self) -> MapOutline:
         """Return what a picture of the map needs; of a map in the background, in one answer."""
-        return outline_of(self, self._config)
+        return outline_of(
+            self.keyframes,
+            self.poses() if self.keyframes else np.empty((0, 4, 4)),
+            self.loops,
+            self._config,
+            components=self.components,
+            anchors=self.anchors,
+        )
 
     @property
     def n_components(self) -> int:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.scenes import MapRoom, label_map
 from slam_bof.slam.config import Config
-from slam_bof.types import Array, EdgeKind
-
-if TYPE_CHECKING:
-    from slam_bof.slam.keyframe_map import KeyframeMap
+from slam_bof.types import Array, EdgeKind, Keyframe, Loop
 
 __all__ = ["MapOutline", "outline_of"]
 
@@ -50,24 +47,31 @@ class MapOutline:
         return len(self.stamps_s)
 
 
-def outline_of(map_: KeyframeMap, config: Config) -> MapOutline:
-    """Return the outline of a map as it is now."""
-    T_map_camera = map_.poses() if len(map_) else np.empty((0, 4, 4))
+def outline_of(
+    keyframes: Sequence[Keyframe],
+    T_map_camera: Array,
+    loops: Sequence[Loop],
+    config: Config,
+    *,
+    components: NDArray[np.intp],
+    anchors: NDArray[np.int64],
+) -> MapOutline:
+    """Return the outline of a map; ``anchors`` (K,) as ``label_map`` takes them."""
     scenes, rooms = label_map(
-        map_.keyframes,
+        keyframes,
         T_map_camera,
         config.labels,
         config.rooms,
-        components=map_.components,
-        anchors=map_.anchors,
+        components=components,
+        anchors=anchors,
     )
-    edges = [(loop.match_id, loop.query_id) for loop in map_.loops]
+    edges = [(loop.match_id, loop.query_id) for loop in loops]
     return MapOutline(
-        np.array([keyframe.stamp_s for keyframe in map_.keyframes]),
+        np.array([keyframe.stamp_s for keyframe in keyframes]),
         T_map_camera,
-        map_.components,
+        components,
         [scene.label if scene else UNKNOWN for scene in scenes],
         np.array(edges, np.int64).reshape(-1, 2),
-        np.array([loop.kind == EdgeKind.LOOP for loop in map_.loops], bool),
+        np.array([loop.kind == EdgeKind.LOOP for loop in loops], bool),
         rooms,
     )
