@@ -25,8 +25,8 @@ from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 settings.register_profile("untimed", deadline=None)
 settings.load_profile("untimed")
 
-collect_ignore = ["plugins/ros/player.py"]
-"""A program that needs ROS, which pytest would import to look for doctests."""
+collect_ignore = ["plugins/ros/player.py", "plugins/ros/robot.py"]
+"""Files that need ROS, which pytest would import to look for doctests."""
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -192,7 +192,7 @@ def _times(
             missing[0],
             times[missing[0]] * 1e-9,
         )
-    return order, np.asarray(times[order] * 1e-9, np.float64)
+    return order, np.asarray(times[order] / 1e9, np.float64)
 
 
 def _camera(

@@ -60,6 +60,11 @@ class RecordedParams(Params):
     world_to_camera: bool = Field(
         False, description="Whether the file has the inverse poses, from the world to the camera."
     )
+    relative: bool = Field(
+        True,
+        description="Whether poses are relative to that of the first frame; otherwise they stay in "
+        "the recorded world, whose direction of gravity is often known (gravity_odom).",
+    )
     offset_s: float = Field(0.0, description="Time in seconds added to the recorded time stamps.")
     max_gap_s: float = Field(
         0.25, gt=0, description="Poses farther apart than this many seconds are not interpolated."
@@ -72,7 +77,7 @@ class RecordedOdometry:
     Poses are matched with frames by time and interpolated on the geodesic between two of them.
     A file without stamps (KITTI; .npy of (N, 4, 4), (N, 3, 4) or (N, 12)) is matched by number:
     the first frame has the first pose. The first frame that has a pose is the identity, so that
-    poses are relative to it, as of any odometry.
+    poses are relative to it, as of any odometry, unless ``relative`` is off.
 
     A frame without a pose (before or after the recording, or in a gap) repeats the last one;
     the next that has one is where the recording has it. ``LoopCloser`` tracks such frames by
@@ -104,10 +109,10 @@ class RecordedOdometry:
         self.reset()
 
     def reset(self) -> None:
-        """Start again: the next frame is the first one and gets the identity."""
+        """Start again: the next frame is the first one."""
         self._n_frames = 0
-        self._T_first_world: Pose | None = None
-        self._T_odom_camera = np.eye(4)
+        self._T_odom_world: Pose | None = None if self.params.relative else np.eye(4)
+        self._T_odom_camera = np.eye(4) if self.params.relative else self._T_world_camera[0]
         self._holds = False
 
     def process(self, frame: DepthFrame) -> Pose:
@@ -121,9 +126,9 @@ class RecordedOdometry:
             self._holds = T_world_camera is None
             logger.warning("%.3f s: recorded poses %s", stamp_s, "end" if self._holds else "go on")
         if T_world_camera is not None:
-            if self._T_first_world is None:
-                self._T_first_world = se3.inverse(T_world_camera)
-            self._T_odom_camera = self._T_first_world @ T_world_camera
+            if self._T_odom_world is None:
+                self._T_odom_world = se3.inverse(T_world_camera)
+            self._T_odom_camera = self._T_odom_world @ T_world_camera
         return self._T_odom_camera.copy()
 
     def _at(self, stamp_s: float) -> Pose | None:

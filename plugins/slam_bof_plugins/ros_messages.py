@@ -29,8 +29,8 @@ def clean_frame(frame: str) -> str:
 
 
 def seconds(stamp: Any) -> float:
-    """Return a time in seconds."""
-    return float(stamp.sec + stamp.nanosec * 1e-9)
+    """Return a time in seconds, rounded as ``dataset_bag`` rounds those of images."""
+    return float((stamp.sec * 10**9 + stamp.nanosec) / 1e9)
 
 
 def pose_matrix(pose: Any) -> Pose:

@@ -223,6 +223,8 @@ def run_new(
             source=json.dumps({"path": str(sequence.resolve()), "frames": frames}),
             remarks=remarks,
         )
+        if view is not None:
+            _view_map(observer, result.folder)
     _show(result, as_json=as_json)
 
 
@@ -270,6 +272,8 @@ def _resume(
             z_up=z_up,
             remarks=remarks,
         )
+        if view is not None:
+            _view_map(observer, result.folder)
     _show(result, as_json=as_json)
 
 
@@ -298,6 +302,19 @@ def _observer(
             err=True,
         )
         raise typer.Exit(INTERRUPTED) from None
+
+
+def _view_map(live: Any, folder: Path) -> None:
+    """Show the finished map in the view of a run."""
+    from slam_bof.errors import MapError
+    from slam_bof.maps import show_finished_map
+    from slam_bof.store import MapStore
+
+    try:
+        with MapStore.open(folder / "map.db") as store:
+            show_finished_map(store, live.recording)
+    except MapError as error:  # without a keyframe
+        live.on_warning(str(error))
 
 
 def _show(result: RunResult, *, as_json: bool) -> None:

@@ -17,6 +17,7 @@ from .map_session import (
     with_model_of as with_model_of,
 )
 from .map_view import (
+    show_finished_map as show_finished_map,
     show_map as show_map,
 )
 from .merging import (

@@ -15,7 +15,7 @@ from slam_bof.store import MapStore, components_of, largest_component, query_key
 from slam_bof.types import Array, Candidate, EdgeKind, Loop
 from slam_bof.visualization import MapSpace, RerunRecording
 
-__all__ = ["show_map"]
+__all__ = ["show_finished_map", "show_map"]
 
 
 def show_map(store: MapStore, target: str) -> int:
@@ -50,6 +50,18 @@ def show_map(store: MapStore, target: str) -> int:
         return len(view.keyframes)
 
 
+def show_finished_map(store: MapStore, recording: RerunRecording) -> None:
+    """Show the map of a run that was recorded as it went on, at all times: corrected path, rooms.
+
+    Raises
+    ------
+    MapError
+        As ``show_map``.
+    """
+    with store.snapshot():
+        _MapView(store).show_finished(recording)
+
+
 class _MapView:
     """The contents of a map, by keyframe."""
 
@@ -73,13 +85,9 @@ class _MapView:
 
     def show(self, recording: RerunRecording) -> None:
         """Show positions and rooms from the start, and all else with its keyframe."""
-        largest = largest_component(self._components)
-        spaces = {
-            n: MapSpace(recording, "map" if n == largest else f"component_{n}")
-            for n in np.unique(self._components).tolist()
-        }
-        for n, space in spaces.items():
-            self._show_plan(space, n)
+        spaces = self._spaces(recording)
+        largest_first = sorted(spaces.values(), key=lambda space: space.root != "map")
+        recording.arrange([space.root for space in largest_first])
         ways = self._ways()
         for keyframe in self.keyframes:
             k = keyframe.id
@@ -100,6 +108,24 @@ class _MapView:
             for pair in self._pairs[k]:
                 recording.log_candidate(pair)
             space.show_refused(self._pairs[k])
+
+    def show_finished(self, recording: RerunRecording) -> None:
+        """Show positions, rooms and the corrected path, at all times."""
+        spaces = self._spaces(recording)
+        for k, way in self._ways().items():
+            space = spaces[int(self._components[k])]
+            space.show_path("corrected", k, way["path"], static=True)
+
+    def _spaces(self, recording: RerunRecording) -> dict[int, MapSpace]:
+        """Return the space of each component, in which its keyframes and rooms are shown."""
+        largest = largest_component(self._components)
+        spaces = {
+            n: MapSpace(recording, "map" if n == largest else f"component_{n}")
+            for n in np.unique(self._components).tolist()
+        }
+        for n, space in spaces.items():
+            self._show_plan(space, n)
+        return spaces
 
     def _show_plan(self, space: MapSpace, component: int) -> None:
         """Show where the keyframes of a component are, and its rooms."""

@@ -6,7 +6,7 @@ from .many import (
     run_sequences as run_sequences,
 )
 from .plan import (
-    read_plan as read_plan,
+    read_plans as read_plans,
 )
 from .run import (
     RunInterrupted as RunInterrupted,

@@ -20,9 +20,9 @@ from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
 from slam_bof.run.health import read_health
 from slam_bof.run.pictures import picture_pairs
-from slam_bof.run.plan import read_plan
+from slam_bof.run.plan import read_plans
 from slam_bof.slam import of_session
-from slam_bof.store import MapStore
+from slam_bof.store import MapStore, components_of
 from slam_bof.visualization import ReportData
 
 __all__ = [
@@ -159,9 +159,10 @@ def read_run(folder: Path) -> ReportData:
             optimized=optimized,
             groundtruth=read_tum(groundtruth) if groundtruth.is_file() else None,
             keyframes=[replace(keyframe, id=keyframe.id - ids.start) for keyframe in own],
+            components=components_of(store)[ids.start : ids.stop].tolist(),
             loops=of_session(store.loops(), ids),
             candidates=of_session(store.candidates(), ids),
-            plan=read_plan(store),
+            plans=read_plans(store),
             pairs=picture_pairs(
                 store, of_session(store.candidates(), ids), figures.get("session", 0)
             ),

@@ -19,7 +19,7 @@ from slam_bof.run.folder import rerun_command
 from slam_bof.run.health import write_health
 from slam_bof.run.metrics import Metrics
 from slam_bof.run.pictures import picture_pairs
-from slam_bof.run.plan import read_plan
+from slam_bof.run.plan import read_plans
 from slam_bof.run.record import RunRecord
 from slam_bof.store import MapStore, largest_component
 from slam_bof.types import Candidate, Keyframe, Trajectory
@@ -70,7 +70,9 @@ def write_outputs(
             z_up=record.z_up,
         )
     with keep_going("report.html", warn):
-        write_report(folder / "report.html", _report_data(folder, record, metrics, store))
+        write_report(
+            folder / "report.html", _report_data(folder, record, metrics, store, components)
+        )
 
 
 def write_trajectory(folder: Path, name: str, trajectory: Trajectory) -> None:
@@ -114,7 +116,13 @@ def _write_audit_trail(
             )
 
 
-def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapStore) -> ReportData:
+def _report_data(
+    folder: Path,
+    record: RunRecord,
+    metrics: Metrics,
+    store: MapStore,
+    components: NDArray[np.intp],
+) -> ReportData:
     result = record.result
     return ReportData(
         metrics=metrics,
@@ -125,10 +133,11 @@ def _report_data(folder: Path, record: RunRecord, metrics: Metrics, store: MapSt
             replace(keyframe, smoothed=scene)
             for keyframe, scene in zip(result.keyframes, record.smoothed, strict=True)
         ],
+        components=components.tolist(),
         loops=result.loops,
         candidates=record.candidates,
         true_scenes=record.true_scenes,
-        plan=read_plan(store),
+        plans=read_plans(store),
         pairs=picture_pairs(store, record.candidates, record.closer.map.session),
         health=record.health,
         command=rerun_command(folder, store),

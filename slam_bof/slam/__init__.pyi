@@ -20,6 +20,9 @@ from .keyframe_map import (
 from .loop_closer import (
     LoopCloser as LoopCloser,
 )
+from .map_outline import (
+    MapOutline as MapOutline,
+)
 from .mini_slam import (
     MiniSlam as MiniSlam,
     SlamResult as SlamResult,

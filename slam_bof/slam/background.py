@@ -25,6 +25,7 @@ from typing import IO, Any, NamedTuple, cast
 
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
 from slam_bof.errors import SlamBofError
+from slam_bof.geometry import compile_alignment
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.slam.mapping import KeyframeJob, MapUpdate, map_keyframe
@@ -242,6 +243,7 @@ def serve() -> None:
     map_: KeyframeMap | _Failure
     try:
         map_ = KeyframeMap(pickle.load(requests), StageClock())
+        compile_alignment()
     except Exception as error:
         map_ = _Failure(error)
     with one_blas_thread():

@@ -29,6 +29,7 @@ from slam_bof.ports import Backend
 from slam_bof.scenes import SceneFilter, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_culling import KeyframeCulling
+from slam_bof.slam.map_outline import MapOutline, outline_of
 from slam_bof.slam.memory_limit import MemoryLimit
 from slam_bof.slam.pose_graph import MapGraph
 from slam_bof.types import (
@@ -138,6 +139,17 @@ class KeyframeMap:
     def poses(self) -> Array:
         """Return the pose ``T_map_camera`` (K, 4, 4) of every keyframe."""
         return self.graph.poses()
+
+    def outline(self) -> MapOutline:
+        """Return what a picture of the map needs; of a map in the background, in one answer."""
+        return outline_of(
+            self.keyframes,
+            self.poses() if self.keyframes else np.empty((0, 4, 4)),
+            self.loops,
+            self._config,
+            components=self.components,
+            anchors=self.anchors,
+        )
 
     @property
     def n_components(self) -> int:

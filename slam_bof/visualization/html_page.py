@@ -21,6 +21,7 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "n_odometry_lost": ("losses of odometry", "{}"),
         "n_frames_lost": ("frames without a pose in the map", "{}"),
         "n_components": ("map components, which no loop connects", "{}"),
+        "session": ("number of the session in its map", "{}"),
     },
     "Loops and labels": {
         "n_candidates": ("pairs considered", "{}"),
@@ -34,7 +35,14 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "n_loops_recognised": ("of these, found by place recognition", "{}"),
         "n_loops_rejected": ("pairs rejected", "{}"),
         "n_edges_left_out": ("accepted edges left out by the final optimisation", "{}"),
+        "n_loops_across": ("loops to earlier sessions", "{}"),
         "n_covisibility_edges": ("covisibility edges", "{}"),
+        "n_partial_edges": ("of these, edges that leave directions open", "{}"),
+        "covisibility_precision": (
+            "covisibility edges within 0.10 m and 5° of ground truth",
+            "{:.1%}",
+        ),
+        "n_global_registrations": ("pairs registered without an initial pose", "{}"),
         "loop_precision": ("loops within 0.10 m and 5° of ground truth", "{:.1%}"),
         "loop_recall": ("revisiting keyframes with an accepted loop", "{:.1%}"),
         "scene_accuracy": ("keyframes with the correct label of the single image", "{:.1%}"),
@@ -44,6 +52,7 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
     "Input and cost": {
         "n_frames": ("frames", "{}"),
         "n_frames_skipped": ("frames skipped as unreadable", "{}"),
+        "n_frames_resumed": ("frames restored from an interrupted run", "{}"),
         "n_keyframes": ("keyframes", "{}"),
         "fps": ("frames per second, overall", "{:.1f}"),
         "cpu_s": ("processor time", "{:.1f} s"),

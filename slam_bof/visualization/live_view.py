@@ -17,9 +17,10 @@ __all__ = ["LiveView"]
 class LiveView:
     """An observer that shows each step, and informs another observer.
 
-    The timeline ``frame`` has the camera, the path with and without loops, the points of each
-    keyframe in the colour of its label, loops, every pair that was considered with the reason of
-    the decision, open directions, lost frames, and the time that each frame took.
+    The timeline ``frame`` has the camera, the path with and without loops, each keyframe and its
+    points in the colour of its label, loops, every pair that was considered with the reason of the
+    decision, open directions, lost frames, and the time that each frame took. Corrected path and
+    rooms come at the end, see ``maps.show_finished_map``.
 
     Parameters
     ----------
@@ -39,9 +40,10 @@ class LiveView:
     """
 
     def __init__(self, observer: Observer, dataset: Dataset, target: str) -> None:
-        self._recording = RerunRecording(dataset.sequence, target)
+        self.recording = RerunRecording(dataset.sequence, target)
         self._observer, self._dataset = observer, dataset
-        self._map = MapSpace(self._recording)
+        self.recording.arrange(["map"], series=["health", "time"])
+        self._map = MapSpace(self.recording)
         self._paths: dict[str, list[Array]] = {"path": [], "odometry": []}
         self._last_s = time.perf_counter()
 
@@ -51,7 +53,7 @@ class LiveView:
 
     def __exit__(self, *error: object) -> None:
         """Write what has not been written yet."""
-        self._recording.__exit__(*error)
+        self.recording.__exit__(*error)
 
     def on_start(self, n_frames: int) -> None:
         """Inform the other observer."""
@@ -61,7 +63,7 @@ class LiveView:
         """Show a step, and inform the other observer."""
         self._observer.on_step(frame_index, step)
         now_s = time.perf_counter()
-        self._recording.set_time("frame", frame_index)
+        self.recording.set_time("frame", frame_index)
         self._plot("time/frame_ms", 1e3 * (now_s - self._last_s))
         self._plot("health/open_directions", step.open_axes.shape[1])
         self._plot("health/lost", step.is_lost)
@@ -75,29 +77,30 @@ class LiveView:
         for loop in step.loops:
             self._map.show_loop(loop)
         for candidate in step.candidates:
-            self._recording.log_candidate(candidate)
+            self.recording.log_candidate(candidate)
         if step.candidates:
             self._map.show_refused(step.candidates)
         self._last_s = time.perf_counter()
 
     def on_warning(self, message: str) -> None:
         """Show a warning, and inform the other observer."""
-        self._recording.log("warnings", self._recording.rr.TextLog(message, level="WARN"))
+        self.recording.log("warnings", self.recording.rr.TextLog(message, level="WARN"))
         self._observer.on_warning(message)
 
     def _show_keyframe(self, frame_index: int, keyframe: Keyframe, T_map_camera: Pose) -> None:
         """Show a keyframe's depth and points, and the way to it."""
         scene = keyframe.smoothed or keyframe.scene
-        self._map.add_keyframe(keyframe.id, T_map_camera)
+        label = scene.label if scene else None
+        self._map.show_keyframe(keyframe.id, T_map_camera, label)
         for name, path in self._paths.items():
             self._map.show_path(name, keyframe.id, path)
             del path[:-1]
-        self._recording.log_scene(scene)
+        self.recording.log_scene(scene)
         try:
             frame = self._dataset.frame(frame_index)
         except DatasetError:
             return  # it was warned of
-        self._map.show_frame(keyframe.id, frame, T_map_camera, scene.label if scene else None)
+        self._map.show_frame(keyframe.id, frame, T_map_camera, label)
 
     def _plot(self, path: str, value: float) -> None:
-        self._recording.log(path, self._recording.rr.Scalars(float(value)))
+        self.recording.log(path, self.recording.rr.Scalars(float(value)))

@@ -16,11 +16,12 @@ __all__ = ["Plan"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """The occupancy grid of a map, and its rooms.
+    """The occupancy grid of a component of a map, and its rooms.
 
     ``cells`` (rows, columns), ``resolution_m``, ``origin_m`` and ``T_plan_map`` (4, 4) are those
     of ``maps.OccupancyGrid``. ``positions_map`` (K, 3) are those of all keyframes, to which the
-    ``keyframe_ids`` of ``rooms`` refer.
+    ``keyframe_ids`` of ``rooms`` refer. ``ways`` are the ids of keyframes of the component that
+    follow each other in one session.
     """
 
     cells: NDArray[np.uint8]
@@ -29,3 +30,4 @@ class Plan:
     T_plan_map: Pose
     positions_map: Array
     rooms: Sequence[MapRoom]
+    ways: Sequence[Sequence[int]]

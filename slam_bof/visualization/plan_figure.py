@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -26,8 +27,8 @@ ROOM_SHARE = 0.35
 """Share of a room's colour in its cells; the rest is white."""
 
 
-def draw_plan(plan: Plan, path_map: Array) -> Any:
-    """Draw the plan with the path (N, 3) of the camera in the map, seen from above."""
+def draw_plan(plan: Plan) -> Any:
+    """Draw the plan with the way from keyframe to keyframe, seen from above."""
     height, width = plan.cells.shape
     (x0, y0), step = plan.origin_m, plan.resolution_m
     names = sorted({room.label for room in plan.rooms})
@@ -38,16 +39,16 @@ def draw_plan(plan: Plan, path_map: Array) -> Any:
         xref="x", yref="y", x=x0, y=y0 + height * step, sizex=width * step, sizey=height * step,
         sizing="stretch", layer="below",
     )  # fmt: skip
-    path = se3.transform(plan.T_plan_map, path_map)
+    positions = se3.transform(plan.T_plan_map, plan.positions_map)
+    x, y = _joined([positions[list(way), :2].round(3) for way in plan.ways])
     figure.add_scatter(
-        x=path[:, 0].round(3),
-        y=path[:, 1].round(3),
+        x=x,
+        y=y,
         mode="lines",
         name="path of the camera",
         line={"color": COLORS["text"], "width": 1.5},
         hoverinfo="skip",
     )
-    positions = se3.transform(plan.T_plan_map, plan.positions_map)
     for room in plan.rooms:
         at = positions[list(room.keyframe_ids)]
         figure.add_scatter(
@@ -92,6 +93,12 @@ def _image(plan: Plan, colors: dict[str, str]) -> NDArray[np.uint8]:
         image[rows[near], columns[near]] = tinted.astype(np.uint8)
     image[plan.cells == OCCUPIED] = _rgb(COLORS["text"])
     return image
+
+
+def _joined(ways: Sequence[Array]) -> tuple[list[float | None], list[float | None]]:
+    """Return x and y of ways (N, 2) as one line with gaps."""
+    points = [point for way in ways for point in (*way.tolist(), (None, None))]
+    return [x for x, _ in points], [y for _, y in points]
 
 
 def _rgb(color: str) -> tuple[int, ...]:

@@ -46,10 +46,12 @@ class ReportData:
         ``T_world_camera``, associated with the frames by time stamp; NaN where unknown.
     keyframes, loops, candidates
         In order of time; a keyframe's ``frame_index`` is an index of the frames above.
+    components
+        The component of the map that each keyframe belongs to; empty if there is only one.
     true_scenes
         The true label of each keyframe, None where unknown.
-    plan
-        The plan of the map that the session belongs to, None if there is none.
+    plans
+        Plans of the largest components of the map that the session belongs to.
     health
         Of every frame; empty if it is not known.
     pairs
@@ -66,7 +68,8 @@ class ReportData:
     loops: Sequence[Loop] = ()
     candidates: Sequence[Candidate] = ()
     true_scenes: Sequence[str | None] | None = None
-    plan: Plan | None = None
+    plans: Sequence[Plan] = ()
+    components: Sequence[int] = ()
     health: Sequence[FrameHealth] = ()
     pairs: Sequence[PicturedPair] = ()
     command: str = ""
@@ -78,6 +81,11 @@ class ReportData:
             raise ValueError(
                 f"trajectories must have the same frames, got {len(self.odometry)} of odometry "
                 f"and {len(self.optimized)} optimized"
+            )
+        if self.components and len(self.components) != len(self.keyframes):
+            raise ValueError(
+                f"components must have a number for each of {len(self.keyframes)} keyframes, "
+                f"got {len(self.components)}"
             )
         if self.true_scenes is not None and len(self.true_scenes) != len(self.keyframes):
             raise ValueError(

@@ -9,7 +9,17 @@ from slam_bof.geometry import se3
 from slam_bof.types import Array, EdgeKind, Pose, Trajectory
 from slam_bof.visualization.report_data import ReportData
 
-__all__ = ["aligned_poses", "level_axes", "loop_links", "truth_by_frame"]
+__all__ = [
+    "aligned_poses",
+    "by_component",
+    "level_axes",
+    "loop_links",
+    "loop_texts",
+    "truth_by_frame",
+]
+
+MAX_LISTED = 20
+"""Number of loops of one keyframe that are listed."""
 
 
 def truth_by_frame(data: ReportData) -> Trajectory | None:
@@ -48,6 +58,40 @@ def loop_links(data: ReportData, truth: Trajectory | None, keyframes: Array) -> 
             wrong[i] = far[i] and evaluation.loop_precision([loop], indices, truth) == 0.0
     links = {"covisibility": ends[~far], "loop": ends[far & ~wrong], "wrong": ends[wrong]}
     return {name: pairs for name, pairs in links.items() if len(pairs)}
+
+
+def loop_texts(data: ReportData) -> list[str]:
+    """Return the number of each keyframe, with those that it has loops with."""
+    partners: dict[int, set[int]] = {keyframe.id: set() for keyframe in data.keyframes}
+    for loop in data.loops:
+        if loop.kind == EdgeKind.LOOP:
+            partners[loop.query_id].add(loop.match_id)
+            partners[loop.match_id].add(loop.query_id)
+    texts = []
+    for k, others in partners.items():
+        listed = ", ".join(map(str, sorted(others)[:MAX_LISTED]))
+        more = f" and {len(others) - MAX_LISTED} more" if len(others) > MAX_LISTED else ""
+        texts.append(f"keyframe {k}" + (f"<br>loops with {listed}{more}" if others else ""))
+    return texts
+
+
+def by_component(path: Array, data: ReportData) -> dict[str, Array]:
+    """Return the path (N, 3) of each component, NaN at the frames of others.
+
+    The largest is ``optimized``. A frame belongs to the component of the newest keyframe so far.
+    """
+    if len(set(data.components)) < 2:
+        return {"optimized": path}
+    newest = np.searchsorted(data.frame_indices, np.arange(len(path)), "right") - 1
+    of_frame = np.array(data.components)[newest.clip(0)]
+    numbers, counts = np.unique(of_frame, return_counts=True)
+    largest = numbers[counts.argmax()]
+    return {
+        "optimized" if n == largest else f"component {n}": np.where(
+            (of_frame == n)[:, None], path, np.nan
+        )
+        for n in numbers.tolist()
+    }
 
 
 def level_axes(T_world_camera: Array) -> Pose:

@@ -30,6 +30,7 @@ VIEWER_PORT = 9876
 COLORS = {
     "path": (47, 109, 181),
     "odometry": (208, 138, 78),
+    "corrected": (26, 54, 110),
     "loop": (58, 154, 106),
     Decision.REJECTED: (196, 72, 72),
     Decision.HELD: (214, 184, 70),
@@ -78,6 +79,22 @@ class RerunRecording:
         """Write what has not been written yet."""
         self._stream.disconnect()
 
+    def arrange(self, spaces: Sequence[str], *, series: Sequence[str] = ()) -> None:
+        """Lay out the viewer: spaces to the left, and beside them depth, texts and time series."""
+        from rerun import blueprint as layout
+
+        texts = [layout.TextLogView(origin=f"/{name}", name=name) for name in ("loops", "scene")]
+        if not series:  # of a saved map, which has a page of each keyframe
+            texts.insert(0, layout.TextDocumentView(origin="/keyframe", name="keyframe"))
+        beside = layout.Vertical(
+            layout.Spatial2DView(origin=f"/{spaces[0]}/camera/depth", name="depth"),
+            layout.Tabs(*texts),
+            *(layout.TimeSeriesView(origin=f"/{name}", name=name) for name in series),
+        )
+        views = [layout.Spatial3DView(origin=f"/{name}", name=name) for name in spaces]
+        whole = layout.Horizontal(layout.Tabs(*views), beside, column_shares=[2, 1])
+        self._stream.send_blueprint(layout.Blueprint(whole, collapse_panels=True))
+
     def set_time(self, timeline: str, number: int) -> None:
         """Set the place on a timeline of what is logged from now on."""
         self._stream.set_time(timeline, sequence=number)
@@ -105,24 +122,26 @@ class MapSpace:
     """One space of a recording: keyframes whose poses in the map are comparable."""
 
     def __init__(self, recording: RerunRecording, root: str = "map") -> None:
-        self._recording, self._rr, self._root = recording, recording.rr, root
+        self._recording, self._rr, self.root = recording, recording.rr, root
         self._positions: dict[int, Array] = {}
         self._voxels: set[int] = set()
         self.log("", self._rr.ViewCoordinates.RDF, static=True)
 
     def log(self, path: str, content: Any, *, static: bool = False) -> None:
         """Log a component of rerun in this space."""
-        self._recording.log(f"{self._root}/{path}".rstrip("/"), content, static=static)
+        self._recording.log(f"{self.root}/{path}".rstrip("/"), content, static=static)
 
     def show_camera(self, T_map_camera: Pose) -> None:
         """Move the camera."""
         R, t = T_map_camera[:3, :3], T_map_camera[:3, 3]
         self.log("camera", self._rr.Transform3D(translation=t, mat3x3=R))
 
-    def show_path(self, name: str, keyframe_id: int, positions_map: Iterable[Array]) -> None:
-        """Show the way (N, 3) to a keyframe, of the ``path`` or of ``odometry``."""
+    def show_path(
+        self, name: str, number: int, positions_map: Iterable[Array], *, static: bool = False
+    ) -> None:
+        """Show the way (N, 3) to a keyframe: the ``path``, ``odometry``, or as ``corrected``."""
         strip = self._rr.LineStrips3D([list(positions_map)], colors=[COLORS[name]])
-        self.log(f"{name}/{keyframe_id}", strip)
+        self.log(f"{name}/{number}", strip, static=static)
 
     def show_positions(self, positions_map: Array, ids: Sequence[int], component: int) -> None:
         """Show where keyframes (K, 3) are, at all times, in the colour of their component."""
@@ -146,9 +165,17 @@ class MapSpace:
         )
         self.log(f"rooms/{room.id}", box, static=True)
 
-    def add_keyframe(self, keyframe_id: int, T_map_camera: Pose) -> None:
-        """Remember where a keyframe is, for its loops."""
+    def show_keyframe(self, keyframe_id: int, T_map_camera: Pose, label: str | None) -> None:
+        """Show where a keyframe is as it comes, in the colour of its label."""
         self._positions[keyframe_id] = T_map_camera[:3, 3]
+        point = self._rr.Points3D(
+            [T_map_camera[:3, 3]],
+            radii=0.03,
+            colors=[_color(label)],
+            labels=[f"keyframe {keyframe_id}, {label or 'no label'}"],
+            show_labels=False,
+        )
+        self.log(f"keyframes/{keyframe_id}", point)
 
     def show_frame(
         self, keyframe_id: int, frame: DepthFrame, T_map_camera: Pose, label: str | None, *,

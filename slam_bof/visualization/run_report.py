@@ -20,12 +20,13 @@ from slam_bof.types import (
 )
 from slam_bof.visualization import html_page as page
 from slam_bof.visualization.depth_pictures import MAX_DEPTH_M, depth_picture
-from slam_bof.visualization.plan import Plan
 from slam_bof.visualization.report_data import PicturedPair, ReportData
 from slam_bof.visualization.report_paths import (
     aligned_poses,
+    by_component,
     level_axes,
     loop_links,
+    loop_texts,
     truth_by_frame,
 )
 
@@ -65,8 +66,8 @@ def _subtitle(data: ReportData) -> str:
 
 def _sections(data: ReportData) -> Iterator[str]:
     truth = truth_by_frame(data)
-    if data.plan is not None:
-        yield _plan_section(data, data.plan)
+    if data.plans:
+        yield _plan_section(data)
     yield _trajectory_section(data, truth)
     if truth is not None:
         yield _error_section(data, truth)
@@ -99,7 +100,7 @@ def _sections(data: ReportData) -> Iterator[str]:
         )
 
 
-def _plan_section(data: ReportData, plan: Plan) -> str:
+def _plan_section(data: ReportData) -> str:
     from slam_bof.visualization.plan_figure import draw_plan
 
     text = (
@@ -108,9 +109,16 @@ def _plan_section(data: ReportData, plan: Plan) -> str:
     )
     n_components = data.metrics.get("n_components")
     if isinstance(n_components, int) and n_components > 1:
-        text += " Only the largest component of the map is drawn."
-    path = data.optimized.poses[:, :3, 3] if n_components in (None, 1) else np.empty((0, 3))
-    return page.section("Place", text, page.figure_html(draw_plan(plan, path), "plan"))
+        text += (
+            f" The map has {n_components} components that no loop has joined, and how they lie to "
+            "each other is unknown: each has a plan of its own, the largest first."
+        )
+    names = ("plan", *(f"plan-{n}" for n in range(2, len(data.plans) + 1)))
+    figures = [
+        page.figure_html(draw_plan(plan), name)
+        for plan, name in zip(data.plans, names, strict=True)
+    ]
+    return page.section("Place", text, "".join(figures))
 
 
 def _health_section(data: ReportData) -> str:
@@ -146,8 +154,8 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
     n_components = data.metrics.get("n_components")
     if isinstance(n_components, int) and n_components > 1:
         text += (
-            f" The map has {n_components} components that no loop has joined: how they lie to "
-            "each other is unknown, although they are drawn in one figure."
+            f" The map has {n_components} components that no loop has joined, each in a colour of "
+            "its own: how they lie to each other is unknown."
         )
     poses = aligned_poses(data, truth)
     T_level = level_axes(poses["optimized"])
@@ -155,11 +163,17 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
     keyframes = paths["optimized"][data.frame_indices]
     links = loop_links(data, truth, keyframes)
     if "loop" in links:
-        text += " Green lines join the two keyframes of each loop."
+        text += (
+            " Green lines join the two keyframes of a loop; hover over a keyframe to see all of "
+            "its loops."
+        )
+    paths |= by_component(paths["optimized"], data)
     return page.section(
         "Trajectory",
         f"{text} In all figures: drag to zoom or turn, double-click to reset.",
-        page.figure_html(figures.draw_top_view(paths, links, keyframes), "top-view"),
+        page.figure_html(
+            figures.draw_top_view(paths, links, keyframes, loop_texts(data)), "top-view"
+        ),
         page.figure_html(figures.draw_trajectories(paths, links), "space-view"),
     )
 
@@ -189,7 +203,7 @@ def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str
     n_near = sum(c.source == CandidateSource.PROXIMITY for c in considered)
     figure = figures.draw_candidates(considered, _since_start(data, stamps_s))
     reasons = _count_reasons(considered)
-    histogram = [page.figure_html(figures.draw_reasons(reasons), "reasons")] if reasons else []
+    histogram = page.figure_html(figures.draw_reasons(reasons), "reasons") if reasons else ""
     return page.section(
         "Loop candidates",
         f"{_count(len(considered), 'pair')} of keyframes considered, {n_accepted} accepted. "
@@ -198,8 +212,7 @@ def _candidate_section(data: ReportData, considered: Sequence[Candidate]) -> str
         "Below: the overlap of the two keyframes, for pairs that were verified. "
         "Hover over a point to see the reason for the decision. Below that: how often pairs were "
         "not accepted for which reason.",
-        page.figure_html(figure, "candidates"),
-        *histogram,
+        page.figure_html(figure, "candidates") + histogram,
     )
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from slam_bof.types import Array
-from slam_bof.visualization.figure_style import COLORS, Figure, new_figure
+from slam_bof.visualization.figure_style import COLORS, PALETTE, Figure, new_figure
 
 __all__ = ["draw_errors", "draw_top_view", "draw_trajectories"]
 
@@ -18,19 +18,24 @@ MAX_LINKS = 80
 
 
 def draw_top_view(
-    paths: Mapping[str, Array], links: Mapping[str, Array], keyframes: Array
+    paths: Mapping[str, Array],
+    links: Mapping[str, Array],
+    keyframes: Array,
+    texts: Sequence[str],
 ) -> Figure:
     """Draw paths from above.
 
     Parameters
     ----------
     paths
-        (N, 3) positions right, forward, up in metres, by ``groundtruth``, ``odometry`` and
-        ``optimized``.
+        (N, 3) positions right, forward, up in metres, by ``groundtruth``, ``odometry``,
+        ``optimized`` and the names of further components.
     links
         (L, 2, 3) end points of edges by ``loop``, ``wrong`` and ``covisibility``.
     keyframes
         (K, 3) positions.
+    texts
+        What is shown over each keyframe.
     """
     figure = new_figure("right (m)", "forward (m)")
     figure.update_yaxes(scaleanchor="x", scaleratio=1)
@@ -39,17 +44,19 @@ def draw_top_view(
     figure.add_scatter(
         x=keyframes[:, 0],
         y=keyframes[:, 1],
-        customdata=np.arange(len(keyframes)),
+        text=list(texts),
         mode="markers",
         name="keyframes",
         marker={"size": 5, "color": COLORS["optimized"]},
-        hovertemplate="keyframe %{customdata}<extra></extra>",
+        hovertemplate="%{text}<extra></extra>",
     )
     for name, ends in links.items():
         drawn = _thinned(name, ends)
         x, y, _ = _segments(drawn)
         figure.add_scatter(x=x, y=y, **_link_style(name, len(drawn), len(ends)))
-    if len(points := paths["optimized"]):
+    points = paths["optimized"]
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points):
         for label, side, (x, y, _) in (
             ("start", "top right", points[0]),
             ("end", "bottom right", points[-1]),
@@ -131,6 +138,9 @@ def _path_style(name: str) -> dict[str, Any]:
         "odometry": {"width": 2},
         "optimized": {"width": 3},
     }
+    if name not in NAMES:  # a further component
+        color = PALETTE[int(name.split()[-1]) % len(PALETTE)]
+        return {"mode": "lines", "name": name, "line": {"color": color, "width": 3}}
     return {
         "mode": "lines",
         "name": NAMES[name],

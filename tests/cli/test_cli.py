@@ -13,6 +13,7 @@ import pytest
 import yaml
 from commands import N_FRAMES, refusal, slam_bof, write_box_sequence, write_tiny_model
 from conftest import CAMERA
+from rrd import read_rrd
 from typer.testing import CliRunner
 
 from slam_bof.cli import app
@@ -56,6 +57,27 @@ def test_run_prints_a_table_and_says_where_the_files_are(
     assert "ATE with loops" in result.stdout
     assert f"Files: {(tmp_path / 'latest').resolve()}" in result.stdout
     assert "box/seq-01: 3/3" in result.stderr, "progress without a terminal"
+
+
+def test_a_run_is_recorded_for_the_viewer_with_the_map_at_its_end(
+    room: Path, model_file: Path, tmp_path: Path
+) -> None:
+    pytest.importorskip("rerun", reason="needs rerun: pip install slam-bof[view]")
+    file = tmp_path / "run.rrd"
+    every = ("--set", "keyframes.policy=every", "--set", "keyframes.every=2")
+    result = slam_bof(
+        "run", room, "-o", tmp_path, "--model", model_file, *every, "--view", file, "--quiet"
+    )
+    assert result.exit_code == 0, result.output
+    rows = read_rrd(file)
+    with MapStore.open(tmp_path / "latest" / "map.db") as store:
+        at = store.map_poses()[:, :3, 3]
+    (finished,) = rows["/map/keyframes"]
+    np.testing.assert_allclose(finished["Points3D:positions"], at, atol=1e-6)
+    for k in range(1, len(at)):
+        (way,) = rows[f"/map/corrected/{k}"][0]["LineStrips3D:strips"]
+        np.testing.assert_allclose(way[-1], at[k], atol=1e-6)
+    assert len(rows["/time/frame_ms"]) == N_FRAMES
 
 
 def test_options_outrank_the_configuration(

@@ -10,8 +10,10 @@ from typer.testing import CliRunner
 
 from slam_bof.cli import app
 from slam_bof.geometry import se3
+from slam_bof.maps import show_finished_map
 from slam_bof.scenes import MapRoom
 from slam_bof.store import MapStore, SessionResult
+from slam_bof.visualization import RerunRecording
 
 ROOM = MapRoom(0, "bathroom", 0.9, (0, 1, 2), (1.0, 0.0, 0.0), (0.0, 0.0, 0.0), (2.0, 0.5, 0.0))
 
@@ -110,6 +112,23 @@ def test_points_have_the_colour_of_their_room(rows):
     whole, other = (rows[f"/{space}/keyframes"][0] for space in ("map", "component_2"))
     assert whole["Points3D:colors"] != other["Points3D:colors"]
     assert other["Points3D:labels"] == ["keyframe 4, component 2", "keyframe 5, component 2"]
+
+
+def test_a_recorded_run_gets_the_corrected_path_and_the_rooms_at_its_end(folder, tmp_path):
+    pytest.importorskip("rerun", reason="needs rerun: pip install slam-bof[view]")
+    file = tmp_path / "run.rrd"
+    with MapStore.open(folder / "map.db") as store, RerunRecording("room", str(file)) as recording:
+        recording.set_time("frame", 23)
+        show_finished_map(store, recording)
+    rows = read_rrd(file)
+    for space, ids in (("map", range(1, 4)), ("component_2", (4, 5))):
+        for k in ids:
+            (row,) = rows[f"/{space}/corrected/{k}"]
+            assert "frame" not in row, "at all times"
+            (way,) = row["LineStrips3D:strips"]
+            np.testing.assert_allclose(way[-1], [k, 0, 0], atol=1e-6)
+    assert rows["/map/rooms/0"][0]["Boxes3D:labels"] == ["bathroom 0, probability 0.90"]
+    assert len(rows["/map/keyframes"][0]["Points3D:positions"]) == 4
 
 
 def test_loops_and_refused_pairs_are_shown_with_the_reason(rows):

@@ -32,6 +32,12 @@ def test_it_starts_at_the_identity_wherever_the_recording_does(tum):
     np.testing.assert_allclose(play(tum), TRUTH, atol=1e-12)
 
 
+def test_it_stays_in_the_recorded_world_where_that_is_wished(tum):
+    stamps_s = np.insert(STAMPS_S, 0, STAMPS_S[0] - 1.0)  # the first frame has no pose yet
+    found = play(tum, stamps_s, relative=False)
+    np.testing.assert_allclose(found, START @ TRUTH[[0, *range(10)]], atol=1e-12)
+
+
 def test_poses_between_are_interpolated(tum):
     """Twist and speed are constant here, so that the geodesic is the truth."""
     halfway = play(tum, np.insert(STAMPS_S, 4, 0.5 * (STAMPS_S[3] + STAMPS_S[4])))[4]

@@ -23,4 +23,4 @@ def test_the_notebook_runs(write_turn, tmp_path, monkeypatch, capsys):
     assert "n_keyframes" in printed
     figure = names["figure"]
     assert figure.layout.images[0].source.startswith("data:image/png;base64,")
-    assert len(figure.data[0].x) == len(names["T_map_camera"]) > 1
+    assert len(figure.data[0].x) == len(names["T_map_camera"]) + 1 > 2

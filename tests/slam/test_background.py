@@ -13,6 +13,7 @@ from slam_bof.slam import LoopCloser, preset
 from slam_bof.slam.background import MAX_WAITING
 from slam_bof.slam.config import override
 from slam_bof.slam.mapping import KeyframeJob
+from slam_bof.types import EdgeKind
 
 
 @pytest.fixture
@@ -47,6 +48,14 @@ def test_with_drain_every_step_is_that_of_the_caller_s_thread(walk, background):
     np.testing.assert_array_equal(beside.map.poses(), direct.map.poses())
     assert len(beside.map.loops) == len(direct.map.loops) > 0
     assert beside.map.n_components == direct.map.n_components
+    ours, theirs = beside.map.outline(), direct.map.outline()
+    assert len(ours) == len(direct.map) == len(ours.labels)
+    for name in ("stamps_s", "T_map_camera", "components", "edges", "is_loop"):
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+    assert (ours.labels, ours.rooms) == (theirs.labels, theirs.rooms)
+    assert [tuple(edge) for edge in ours.edges[ours.is_loop].tolist()] == [
+        (loop.match_id, loop.query_id) for loop in direct.map.loops if loop.kind == EdgeKind.LOOP
+    ]
     assert len(records[True]) == len(records[False]) == len(direct.map)
     for ours, theirs in zip(records[True], records[False], strict=True):
         assert ours.state == theirs.state

@@ -59,6 +59,9 @@ def test_a_run_is_recorded_and_read_back(tmp_path):
     assert len(ids) > 2
     for k in ids:
         assert len(rows[f"/map/points/{k}"]) == len(rows[f"/map/path/{k}"]) == 1
+        (keyframe,) = rows[f"/map/keyframes/{k}"]
+        assert keyframe["Points3D:labels"][0].startswith(f"keyframe {k}, ")
+        assert np.abs(keyframe["Points3D:positions"]).max() < 0.02
 
 
 def test_without_rerun_it_says_what_to_install(monkeypatch):

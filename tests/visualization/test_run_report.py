@@ -149,14 +149,15 @@ def plan() -> Plan:
     T_plan_map = se3.pose([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], [0.0, 0.0, 0.0])
     positions_plan = np.array([[-0.3, 0.0, 1.4], [-0.2, 0.0, 1.4], [0.3, 0.0, 1.4]])
     positions_map = se3.transform(se3.inverse(T_plan_map), positions_plan)
-    return Plan(cells, 0.1, (-0.5, -0.2), T_plan_map, positions_map, rooms)
+    return Plan(cells, 0.1, (-0.5, -0.2), T_plan_map, positions_map, rooms, [[0, 1], [2]])
 
 
 def test_the_plan_shows_rooms_by_colour_and_name(tmp_path: Path, data, plan: Plan) -> None:
-    html = write(tmp_path, replace(data, plan=plan))
+    html = write(tmp_path, replace(data, plans=[plan]))
     assert headings(html)[0] == "Place"
     traces = {trace["name"]: trace for trace in plots(html)["plan"]}
     assert traces["office"]["text"] == ["keyframe 2, office 1"]
+    assert traces["path of the camera"]["x"] == [-0.3, -0.2, None, 0.3, None]
     assert r"\u003cb\u003eoffice\u003c\u002fb\u003e" in html
     image = plan_image(without_library(html))
     kitchen, office = (traces[name]["marker"]["color"] for name in ("kitchen", "office"))
@@ -167,6 +168,37 @@ def test_the_plan_shows_rooms_by_colour_and_name(tmp_path: Path, data, plan: Pla
         tint = 255 - image[2, column].astype(float)
         full = 255 - np.array(list(bytes.fromhex(color[1:])), float)
         np.testing.assert_allclose(tint, 0.35 * full, atol=1.0)
+
+
+def test_components_are_apart(tmp_path: Path, data, plan: Plan) -> None:
+    """Keyframes 0 to 5, and 6 to 9 of another component from frame 24 on."""
+    metrics = {**METRICS, "n_components": 2}
+    components = [0] * 6 + [1] * 4
+    apart = replace(data, metrics=metrics, plans=[plan, plan], components=components)
+    html = write(tmp_path, apart)
+    assert {"plan", "plan-2"} <= set(plots(html))
+    assert "each has a plan of its own" in html
+    for name in ("top-view", "space-view"):
+        traces = {trace.get("name"): trace for trace in plots(html)[name]}
+        x = {n: decoded(traces[n]["x"]) for n in ("with loops", "component 1")}
+        np.testing.assert_array_equal(np.isnan(x["with loops"]), np.arange(40) >= 24)
+        np.testing.assert_array_equal(np.isnan(x["component 1"]), np.arange(40) < 24)
+    with pytest.raises(ValueError, match="for each of 10 keyframes, got 1"):
+        replace(data, components=[0])
+
+
+def decoded(values: dict[str, str]) -> Array:
+    """Decode an array as plotly writes it."""
+    text = values["bdata"].replace(r"\u002f", "/").replace(r"\u003d", "=")
+    return np.frombuffer(base64.b64decode(text), values["dtype"])
+
+
+def test_a_keyframe_lists_all_of_its_loops(tmp_path: Path, data: ReportData) -> None:
+    many = [replace(data.loops[0], query_id=9, match_id=k % 9) for k in range(30)]
+    top_view = plots(write(tmp_path, replace(data, loops=many)))["top-view"]
+    (keyframes,) = [trace for trace in top_view if trace.get("name") == "keyframes"]
+    assert keyframes["text"][9] == "keyframe 9<br>loops with 0, 1, 2, 3, 4, 5, 6, 7, 8"
+    assert keyframes["text"][0] == "keyframe 0<br>loops with 9"
 
 
 def plan_image(html: str) -> NDArray[np.uint8]:

@@ -8,10 +8,9 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from slam_bof.errors import FrameError, MapError
 from slam_bof.maps import (
@@ -21,13 +20,12 @@ from slam_bof.maps import (
     finish_map,
     with_model_of,
 )
-from slam_bof.scenes import MapRoom, label_map
-from slam_bof.slam import LoopCloser, config as configs
+from slam_bof.slam import LoopCloser, MapOutline, config as configs
 from slam_bof.store import MapStore, replay_keyframes
-from slam_bof.types import Array, DepthFrame, Keyframe, Loop, Pose, Scene, Step
+from slam_bof.types import DepthFrame, Pose, Step
 from slam_bof_ros.frames import Cloud, PosedFrame
 
-__all__ = ["Health", "MapSnapshot", "Mapper", "MapperSettings"]
+__all__ = ["Health", "Mapper", "MapperSettings"]
 
 logger = logging.getLogger(__name__)
 
@@ -40,6 +38,7 @@ class MapperSettings:
     mode: Literal["mapping", "localization"] = "mapping"
     config: str = "indoor"
     assignments: tuple[str, ...] = ()
+    background: bool = True
 
 
 @dataclass(slots=True)
@@ -67,18 +66,6 @@ class Health:
         }
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MapSnapshot:
-    """The map at one time: K keyframes, their poses and components, edges, and rooms."""
-
-    keyframes: list[Keyframe]
-    T_map_camera: Array
-    components: NDArray[np.integer[Any]]
-    loops: list[Loop]
-    labels: list[Scene | None]
-    rooms: list[MapRoom]
-
-
 class Mapper:
     """Takes frames with their odometry; has the correction of the odometry, and the map.
 
@@ -103,13 +90,13 @@ class Mapper:
         if s.mode == "mapping":
             s.map_file.parent.mkdir(parents=True, exist_ok=True)
             self._session = MapSession.open(
-                s.map_file, config=config, sequence="ros", background=True
+                s.map_file, config=config, sequence="ros", background=s.background
             )
             self.closer = self._session.closer
         else:
             with MapStore.open(s.map_file) as store:
                 config = with_model_of(store, configs.complete(config))
-                self.closer = LoopCloser.from_config(config, background=True)
+                self.closer = LoopCloser.from_config(config, background=s.background)
                 self.closer.restore(replay_keyframes(store, reopened_session=None))
             self.closer.begin_session()
         self._first_keyframe = len(self.closer.map)
@@ -161,25 +148,14 @@ class Mapper:
         taken, self._arrived = self._arrived, []
         return taken
 
-    def snapshot(self) -> MapSnapshot:
-        """Return the map, once all keyframes so far are in it; may be called in another thread."""
-        map_ = self.closer.map
-        keyframes = map_.keyframes
-        n = len(keyframes)  # more may have come when the rest is read
-        T_map_camera = map_.poses()[:n] if n else np.empty((0, 4, 4))
-        components, anchors = map_.components[:n], map_.anchors[:n]
-        loops = [loop for loop in map_.loops if max(loop.query_id, loop.match_id) < n]
-        labels, rooms = label_map(
-            keyframes,
-            T_map_camera,
-            self._config.labels,
-            self._config.rooms,
-            components=components,
-            anchors=anchors,
-        )
-        return MapSnapshot(keyframes, T_map_camera, components, loops, labels, rooms)
+    def outline(self) -> MapOutline:
+        """Return the map, once all keyframes so far are in it.
 
-    def occupancy(self, map_: MapSnapshot, n_most: int) -> OccupancyGrid:
+        In the background it may be called in another thread.
+        """
+        return self.closer.map.outline()
+
+    def occupancy(self, map_: MapOutline, n_most: int) -> OccupancyGrid:
         """Return the occupancy grid of the largest component, by up to ``n_most`` keyframes.
 
         Raises

@@ -13,24 +13,31 @@ from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
 from nav_msgs.msg import OccupancyGrid, Odometry, Path as PathMessage
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from slam_bof.errors import DatasetError, MapError, SlamBofError
+from slam_bof.slam import MapOutline
 from slam_bof.types import Step
 from slam_bof_ros import outputs
 from slam_bof_ros.frames import FrameSource, PosedFrame
-from slam_bof_ros.mapper import Mapper, MapperSettings, MapSnapshot
+from slam_bof_ros.mapper import Mapper, MapperSettings
 from slam_bof_ros.transforms import TransformTree
 
 __all__ = ["SlamBofNode", "main"]
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+LOSS = (
+    "DDS loses messages of sensors on the way here: send large ones by another transport, or "
+    "subscribe reliably (see the documentation)"
+)
 PARAMETERS: dict[str, Any] = {
     "map_file": "~/.ros/slam_bof/map.db",
     "mode": "mapping",
@@ -41,6 +48,7 @@ PARAMETERS: dict[str, Any] = {
     "map_frame": "map",
     "use_tf": False,
     "use_covariance": True,
+    "background": True,
     "input": "depth",
     "compressed": False,
     "rectified": True,
@@ -74,9 +82,10 @@ class SlamBofNode(Node):
                 self._value("config"),
                 # A robot's odometry has z up (REP 103).
                 ("gravity_odom=[0,0,-1]", *filter(None, self._value("set"))),
+                self._value("background"),
             )
         )
-        self._n_drawn = 0
+        self._n_drawn = self._n_lost = self._n_lost_before = 0
         self._publish = {
             name: self.create_publisher(kind, topic, qos)
             for name, kind, topic, qos in (
@@ -97,7 +106,8 @@ class SlamBofNode(Node):
         self.create_service(SetBool, "~/pause", self._pause)
         self.create_timer(1.0 / self._value("tf_rate"), self._publish_tf)
         self.create_timer(1.0, self._publish_diagnostics)
-        drawing = MutuallyExclusiveCallbackGroup()
+        # A map that is not in a process of its own must not be read while frames are processed.
+        drawing = MutuallyExclusiveCallbackGroup() if self._value("background") else None
         for period, draw in (
             ("graph_period_s", self._draw_graph),
             ("map_period_s", self._draw_map),
@@ -116,21 +126,28 @@ class SlamBofNode(Node):
     def _listen(self) -> None:
         """Subscribe to depth and its camera, or to clouds, and to odometry."""
         if self._value("input") == "cloud":
-            self.create_subscription(PointCloud2, "cloud", self._on_cloud, qos_profile_sensor_data)
+            self._hear(PointCloud2, "cloud", self._on_cloud)
         else:
             kind = CompressedImage if self._value("compressed") else Image
             suffix = "/compressedDepth" if self._value("compressed") else ""
-            self.create_subscription(
-                kind, f"depth/image_rect_raw{suffix}", self._on_image, qos_profile_sensor_data
-            )
-            self.create_subscription(
-                CameraInfo,
-                "depth/camera_info",
-                self._source.add_camera_info,
-                qos_profile_sensor_data,
-            )
+            self._hear(kind, f"depth/image_rect_raw{suffix}", self._on_image)
+            self._hear(CameraInfo, "depth/camera_info", self._source.add_camera_info)
         if not self._value("use_tf"):
-            self.create_subscription(Odometry, "odom", self._on_odometry, qos_profile_sensor_data)
+            self._hear(Odometry, "odom", self._on_odometry)
+
+    def _hear(self, kind: type, topic: str, take: Callable[[Any], None]) -> None:
+        """Subscribe as to a sensor, unless parameters say otherwise; count what DDS loses."""
+        self.create_subscription(
+            kind,
+            topic,
+            take,
+            qos_profile_sensor_data,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _on_lost(self, info: Any) -> None:
+        self._n_lost += info.total_count_change
 
     def _connect_tf(self) -> None:
         """Listen to tf and publish it, if its messages are installed, as with every ROS."""
@@ -239,12 +256,16 @@ class SlamBofNode(Node):
         if health.last == "lost":
             problem = "odometry is lost: it agrees with nothing seen before"
         health.errors = []
+        if self._n_lost > self._n_lost_before:
+            self._n_lost_before = self._n_lost
+            problem = problem or LOSS
         values = {
             **health.values(),
             "keyframes waiting": str(mapper.closer.n_waiting),
             "frames while too many keyframes waited": str(mapper.closer.n_postponed),
             "images waiting for odometry": str(self._source.n_waiting),
             "images without odometry": str(self._source.n_dropped),
+            "messages lost on the way": str(self._n_lost),
             "located": str(mapper.is_located),
             "odometry lost": str(mapper.closer.n_odometry_lost),
         }
@@ -255,27 +276,22 @@ class SlamBofNode(Node):
         )
 
     def _draw_graph(self) -> None:
-        """Publish path and graph if there are new keyframes; in a thread of its own."""
-        if self._mapper.is_finished:
+        """Publish path and graph if there are new keyframes."""
+        outline = self._outline(n_known=self._n_drawn)
+        if outline is None:
             return
-        snapshot = self._snapshot()
-        if snapshot is None or len(snapshot.keyframes) == self._n_drawn:
-            return
-        self._n_drawn = len(snapshot.keyframes)
-        self._publish_graph(snapshot)
-
-    def _publish_graph(self, snapshot: MapSnapshot) -> None:
+        self._n_drawn = len(outline)
         stamp_s, frame = self._now_s(), self._value("map_frame")
-        self._publish["path"].publish(outputs.path_message(stamp_s, frame, snapshot))
-        self._publish["graph"].publish(outputs.graph_message(stamp_s, frame, snapshot))
+        self._publish["path"].publish(outputs.path_message(stamp_s, frame, outline))
+        self._publish["graph"].publish(outputs.graph_message(stamp_s, frame, outline))
 
     def _draw_map(self) -> None:
-        """Publish the occupancy grid of the saved keyframes; in a thread of its own."""
-        snapshot = None if self._mapper.is_finished else self._snapshot()
-        if snapshot is None:
+        """Publish the occupancy grid of the saved keyframes."""
+        outline = self._outline()
+        if outline is None:
             return
         try:
-            grid = self._mapper.occupancy(snapshot, self._value("max_map_keyframes"))
+            grid = self._mapper.occupancy(outline, self._value("max_map_keyframes"))
         except MapError as error:
             self.get_logger().debug(str(error))
             return
@@ -283,13 +299,15 @@ class SlamBofNode(Node):
             outputs.grid_message(self._now_s(), self._value("map_frame"), grid)
         )
 
-    def _snapshot(self) -> MapSnapshot | None:
+    def _outline(self, *, n_known: int = 0) -> MapOutline | None:
+        """Return the map if it is open and has other than so many keyframes."""
         try:
-            snapshot = self._mapper.snapshot()
+            if self._mapper.is_finished or len(self._mapper.closer.map) == n_known:
+                return None
+            return self._mapper.outline()
         except SlamBofError as error:
             self._warn(str(error))
             return None
-        return snapshot if len(snapshot.keyframes) else None
 
     def _save(self) -> str:
         path = self._mapper.settings.map_file.with_suffix(".saved.db")

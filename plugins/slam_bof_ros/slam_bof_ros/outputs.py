@@ -24,9 +24,9 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from slam_bof.geometry import se3, view_points
 from slam_bof.maps import OccupancyGrid
-from slam_bof.types import DepthFrame, EdgeKind, Pose, Scene, Step
+from slam_bof.slam import MapOutline
+from slam_bof.types import DepthFrame, Pose, Scene, Step
 from slam_bof_ros.frames import Cloud
-from slam_bof_ros.mapper import MapSnapshot
 
 __all__ = [
     "cloud_message",
@@ -77,27 +77,26 @@ def pose_message(
     return message
 
 
-def path_message(stamp_s: float, frame: str, map_: MapSnapshot) -> Path:
+def path_message(stamp_s: float, frame: str, map_: MapOutline) -> Path:
     """Return the poses of all keyframes."""
     header = Header(stamp=time_message(stamp_s), frame_id=frame)
     return Path(
         header=header,
         poses=[
             PoseStamped(
-                header=Header(stamp=time_message(keyframe.stamp_s), frame_id=frame), pose=_pose(T)
+                header=Header(stamp=time_message(keyframe_s), frame_id=frame), pose=_pose(T)
             )
-            for keyframe, T in zip(map_.keyframes, map_.T_map_camera, strict=True)
+            for keyframe_s, T in zip(map_.stamps_s.tolist(), map_.T_map_camera, strict=True)
         ],
     )
 
 
-def graph_message(stamp_s: float, frame: str, map_: MapSnapshot) -> MarkerArray:
+def graph_message(stamp_s: float, frame: str, map_: MapOutline) -> MarkerArray:
     """Return keyframes in the colours of their labels, edges, loops, and the names of rooms."""
     positions = map_.T_map_camera[:, :3, 3]
     consecutive = np.flatnonzero(np.diff(map_.components) == 0)
     odometry = [(k, k + 1) for k in consecutive.tolist()]
-    loops = [(e.match_id, e.query_id) for e in map_.loops if e.kind == EdgeKind.LOOP]
-    others = [(e.match_id, e.query_id) for e in map_.loops if e.kind != EdgeKind.LOOP]
+    loops, others = map_.edges[map_.is_loop].tolist(), map_.edges[~map_.is_loop].tolist()
     header = Header(stamp=time_message(stamp_s), frame_id=frame)
 
     def marker(name: str, kind: int, width_m: float, color: ColorRGBA) -> Marker:
@@ -108,7 +107,7 @@ def graph_message(stamp_s: float, frame: str, map_: MapSnapshot) -> MarkerArray:
 
     keyframes = marker("keyframes", Marker.SPHERE_LIST, 0.06, _color("unknown"))
     keyframes.points = [_point(p) for p in positions]
-    keyframes.colors = [_color(label.label if label else "unknown") for label in map_.labels]
+    keyframes.colors = [_color(label) for label in map_.labels]
     lines = []
     for name, pairs, width_m, color in (
         ("odometry", odometry, 0.02, ColorRGBA(r=0.5, g=0.5, b=0.5, a=1.0)),

@@ -30,16 +30,16 @@ def made(tmp_path: Path, walk: list[tuple[DepthFrame, Pose]]) -> Path:
     for frame, T in walk[:20]:
         mapper.process(posed(frame, T))
     assert mapper.is_located
-    snapshot = mapper.snapshot()
-    assert len(snapshot.keyframes) == len(snapshot.T_map_camera) == len(snapshot.labels) > 4
-    grid = mapper.occupancy(snapshot, 5)
+    outline = mapper.outline()
+    assert len(outline) == len(outline.T_map_camera) == len(outline.labels) > 4
+    grid = mapper.occupancy(outline, 5)
     assert {0, 254} <= set(np.unique(grid.cells).tolist())
     copy = tmp_path / "copy.db"
-    assert mapper.save(copy) == len(snapshot.keyframes)
-    assert len(MapLocalizer.open(copy)) == len(snapshot.keyframes)
+    assert mapper.save(copy) == len(outline)
+    assert len(MapLocalizer.open(copy)) == len(outline)
     assert mapper.finish() == 20
     assert mapper.process(posed(*walk[20])) is None
-    assert mapper.save(copy) == len(snapshot.keyframes)
+    assert mapper.save(copy) == len(outline)
     mapper.closer.close()
     return mapper.settings.map_file
 

@@ -9,34 +9,24 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install -e '.[ros]', or a ROS installation")
+pytest.importorskip("rosbags", reason="needs pip install slam-bof[bag]")
 
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseWithCovarianceStamped, TransformStamped
-from nav_msgs.msg import OccupancyGrid, Path as PathMessage
-from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import String
-from std_srvs.srv import Trigger
-from visualization_msgs.msg import MarkerArray
+from robot import Robot
 
+from slam_bof.cli.app import app
 from slam_bof.geometry import se3
 from slam_bof.slam import LoopCloser, preset
 from slam_bof.slam.config import override
 from slam_bof.store import MapStore
+from slam_bof.synthetic import camera_poses
 from slam_bof.types import DepthFrame, Intrinsics, Pose
 from slam_bof_plugins.ros_messages import pose_matrix, seconds, transform_matrix
 
@@ -44,20 +34,11 @@ from slam_bof_plugins.ros_messages import pose_matrix, seconds, transform_matrix
 pytestmark = pytest.mark.filterwarnings("ignore:module 'sre_:DeprecationWarning")
 
 ROOT = Path(__file__).resolve().parents[3]
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-UPRIGHT = "gravity_odom=[0,1,0]"
-PERIOD_S = 0.2
-PATIENCE_S = 180.0
-TOPICS: dict[str, tuple[type, str, Any]] = {
-    "pose": (PoseWithCovarianceStamped, "/slam_bof/pose", 100),
-    "map_to_odom": (TransformStamped, "/slam_bof/map_to_odom", 10),
-    "path": (PathMessage, "/slam_bof/path", 1),
-    "graph": (MarkerArray, "/slam_bof/graph", LATCHED),
-    "map": (OccupancyGrid, "/slam_bof/map", LATCHED),
-    "cloud": (PointCloud2, "/slam_bof/cloud", 10),
-    "scene": (String, "/slam_bof/scene", 10),
-    "diagnostics": (DiagnosticArray, "/diagnostics", 10),
-}
+R_UP_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""The axes of a level camera in a frame whose z is up."""
+Z_UP = "gravity_odom=[0,0,-1]"
+
+Frames = Sequence[tuple[DepthFrame, Pose]]
 
 
 @pytest.fixture(scope="module")
@@ -67,90 +48,13 @@ def environment() -> Iterator[dict[str, str]]:
     before = {name: os.environ.get(name) for name in ours}
     os.environ.update(ours)
     paths = [ROOT, ROOT / "plugins", ROOT / "plugins" / "slam_bof_ros"]
-    yield {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, paths))}
+    known = filter(None, [os.environ.get("PYTHONPATH")])
+    yield {**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, paths), *known])}
     for name, value in before.items():
         if value is None:
             del os.environ[name]
         else:
             os.environ[name] = value
-
-
-class Robot:
-    """Starts the node and plays frames to it; keeps what the node says."""
-
-    def __init__(self, environment: dict[str, str], folder: Path) -> None:
-        self.heard: defaultdict[str, list[Any]] = defaultdict(list)
-        self.map_file = folder / "map.db"
-        self._environment, self._folder = environment, folder
-        self._processes: list[subprocess.Popen[bytes]] = []
-        rclpy.init()
-        self._listener = Node("listener")
-        for name, (kind, topic, qos) in TOPICS.items():
-            self._listener.create_subscription(kind, topic, self.heard[name].append, qos)
-
-    def start(self, **parameters: object) -> subprocess.Popen[bytes]:
-        values = {"map_file": self.map_file, "set": json.dumps([UPRIGHT]), "graph_period_s": 0.5,
-                  "map_period_s": 2.0, **parameters}  # fmt: skip
-        options = [text for name, value in values.items() for text in ("-p", f"{name}:={value}")]
-        return self._run("-m", "slam_bof_ros.node", "--ros-args", *options)
-
-    def play(self, frames: list[tuple[DepthFrame, Pose]]) -> None:
-        camera = frames[0][0].intrinsics
-        file = self._folder / "frames.npz"
-        np.savez(
-            file,
-            camera=[camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy],
-            stamps_s=[frame.stamp_s for frame, _ in frames],
-            depths=[frame.depth for frame, _ in frames],
-            poses=[T for _, T in frames],
-        )
-        player = self._run(str(Path(__file__).with_name("player.py")), str(file), str(PERIOD_S))
-        self.wait_until(lambda: player.poll() is not None)
-        assert player.returncode == 0
-
-    def wait_until(self, is_so: Callable[[], bool]) -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while not is_so():
-            assert time.monotonic() < deadline_s, {k: len(v) for k, v in self.heard.items()}
-            rclpy.spin_once(self._listener, timeout_sec=0.05)
-
-    def call(self, service: str) -> str:
-        client = self._listener.create_client(Trigger, f"/slam_bof/{service}")
-        self.wait_until(client.service_is_ready)
-        answer = client.call_async(Trigger.Request())
-        self.wait_until(answer.done)
-        assert answer.result().success, answer.result().message
-        return str(answer.result().message)
-
-    def markers(self) -> dict[str, Any]:
-        """The markers of the newest graph, by namespace."""
-        return {marker.ns: marker for marker in self.heard["graph"][-1].markers}
-
-    def n_keyframes(self) -> int:
-        """Number of keyframes in the newest graph and path, which come one after the other."""
-        heard = self.heard["path"] and self.heard["graph"]
-        return len(self.markers()["keyframes"].points) if heard else 0
-
-    def n_frames(self) -> int:
-        """Frames that the node has processed, by its newest diagnostics."""
-        if not self.heard["diagnostics"]:
-            return 0
-        values = self.heard["diagnostics"][-1].status[0].values
-        healths = ("frames tracked", "frames degenerate", "frames lost")
-        return sum(int(v.value) for v in values if v.key in healths)
-
-    def close(self) -> None:
-        for process in self._processes:
-            if process.poll() is None:
-                process.kill()
-            process.wait()
-        self._listener.destroy_node()
-        rclpy.shutdown()
-
-    def _run(self, *arguments: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, *arguments]
-        self._processes.append(subprocess.Popen(command, env=self._environment))
-        return self._processes[-1]
 
 
 @pytest.fixture
@@ -160,17 +64,26 @@ def robot(environment: dict[str, str], tmp_path: Path) -> Iterator[Robot]:
     robot.close()
 
 
+def halved(frame: DepthFrame, stamp_s: float) -> DepthFrame:
+    c = frame.intrinsics
+    half = Intrinsics(c.width // 2, c.height // 2, c.fx / 2, c.fy / 2, c.cx / 2, c.cy / 2)
+    return DepthFrame(stamp_s, np.ascontiguousarray(frame.depth[::2, ::2]), half)
+
+
 @pytest.fixture(scope="module")
-def frames(walk: list[tuple[DepthFrame, Pose]]) -> list[tuple[DepthFrame, Pose]]:
+def frames(walk: Frames) -> Frames:
     """The walk there and back at half the size, with odometry that drifts by 4 mm a frame."""
-    small = []
-    for k, (frame, T) in enumerate([*walk[:20], *walk[:19:-1]]):
-        c = frame.intrinsics
-        half = Intrinsics(c.width // 2, c.height // 2, c.fx / 2, c.fy / 2, c.cx / 2, c.cy / 2)
-        drift = se3.pose(np.eye(3), [0.004 * k, 0.0, 0.0])
-        depth = np.ascontiguousarray(frame.depth[::2, ::2])
-        small.append((DepthFrame(100.0 + 0.3 * k, depth, half), drift @ T))
-    return small
+    there_and_back = [*walk[:20], *walk[:19:-1]]
+    upright = se3.pose(R_UP_CAMERA, np.zeros(3))
+    return [
+        (halved(frame, 100.0 + 0.3 * k), se3.pose(np.eye(3), [0.004 * k, 0, 0]) @ upright @ T)
+        for k, (frame, T) in enumerate(there_and_back)
+    ]
+
+
+def stamps_in(map_file: Path) -> list[float]:
+    with MapStore.open(map_file) as store:
+        return [keyframe.stamp_s for keyframe in store.keyframes()]
 
 
 def loops_in(map_file: Path) -> set[tuple[int, int]]:
@@ -178,9 +91,7 @@ def loops_in(map_file: Path) -> set[tuple[int, int]]:
         return {(c.query_id, c.match_id) for c in store.candidates() if c.decision == "accepted"}
 
 
-def test_a_node_maps_what_is_played_to_it(
-    robot: Robot, frames: list[tuple[DepthFrame, Pose]]
-) -> None:
+def test_a_node_maps_what_is_played_to_it(robot: Robot, frames: Frames) -> None:
     node = robot.start()
     robot.play(frames)
     robot.wait_until(lambda: robot.n_frames() == len(frames))
@@ -197,7 +108,7 @@ def test_a_node_maps_what_is_played_to_it(
     assert (correction.header.frame_id, correction.child_frame_id) == ("map", "odom")
     T_map_camera = transform_matrix(correction.transform) @ frames[-1][1]
     assert np.linalg.norm(T_map_camera[:3, 3]) < 0.05
-    assert len(robot.markers()["loops"].points) >= 2
+    robot.wait_until(lambda: len(robot.markers()["loops"].points) >= 2)
     cells = np.array(robot.heard["map"][-1].data)
     assert {-1, 0, 100} == set(cells.tolist())
     assert robot.heard["cloud"][-1].width > 1000
@@ -214,7 +125,7 @@ def test_a_node_maps_what_is_played_to_it(
         assert np.isfinite(saved.map_poses()).all()
         assert saved.sessions()[0].is_finished
     assert robot.call("finish").startswith(f"{len(frames)} frames in")
-    expected = LoopCloser.from_config(override(preset("indoor"), [UPRIGHT]))
+    expected = LoopCloser.from_config(override(preset("indoor"), [Z_UP]))
     for frame, T in frames:
         expected.process(frame, T)
     expected.finish()
@@ -226,7 +137,7 @@ def test_a_node_maps_what_is_played_to_it(
 
 
 def test_a_node_that_was_killed_goes_on_from_its_map_with_odometry_started_anew(
-    robot: Robot, frames: list[tuple[DepthFrame, Pose]]
+    robot: Robot, frames: Frames
 ) -> None:
     node = robot.start()
     robot.play(frames[:12])
@@ -236,8 +147,9 @@ def test_a_node_that_was_killed_goes_on_from_its_map_with_odometry_started_anew(
     robot.heard["map_to_odom"].clear()
     robot.heard["diagnostics"].clear()
     robot.start()
-    again = [(frame, se3.inverse(frames[20][1]) @ T) for frame, T in frames[20:]]
-    robot.play(again)
+    elsewhere = se3.exp(np.array([0.0, 0.0, 0.8, 1.0, 2.0, 0.0]))
+    again = [(frame, elsewhere @ T) for frame, T in frames[20:]]
+    robot.play(again, "again")
     robot.wait_until(lambda: robot.n_frames() == len(again))
     robot.wait_until(lambda: bool(robot.heard["map_to_odom"]))
     robot.call("finish")
@@ -246,3 +158,34 @@ def test_a_node_that_was_killed_goes_on_from_its_map_with_odometry_started_anew(
         of_session = [keyframe.session for keyframe in store.keyframes()]
     loops = loops_in(robot.map_file)
     assert any((of_session[q], of_session[m]) == (1, 0) for q, m in loops)
+
+
+@pytest.fixture(scope="module")
+def tour(look: Callable[..., DepthFrame], standpoint: tuple[float, float]) -> Frames:
+    """Twice half around a point 0.25 m away, looking outwards, with odometry that drifts."""
+    tour = []
+    for k, yaw in enumerate(np.tile(np.arange(0.0, np.pi, 0.1), 2)):
+        position = [*(standpoint + 0.25 * np.array([np.cos(yaw), np.sin(yaw)])), 1.3]
+        T_world_camera = camera_poses(position, yaw, 0.1)
+        drift = se3.exp(np.array([0.0, 0.0, 4e-4, 2e-3, 1e-3, 0.0]) * k)
+        tour.append((halved(look(T_world_camera, k), 100.0 + 0.1 * k), drift @ T_world_camera))
+    return tour
+
+
+def test_a_node_and_a_run_of_the_same_bag_find_the_same_loops(
+    robot: Robot, tour: Frames, tmp_path: Path
+) -> None:
+    robot.start(background="false")
+    bag = robot.play(tour)
+    robot.wait_until(lambda: robot.n_frames() == len(tour))
+    robot.call("finish")
+    options = [f"file={bag}", "relative=false"]
+    command = ["run", str(bag), "--out", str(tmp_path / "runs"), "--set", "odometry.name=recorded"]
+    for assignment in (*(f"odometry.options.{option}" for option in options), Z_UP):
+        command += ["--set", assignment]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    map_file = next((tmp_path / "runs").glob("*/map.db"))
+    assert stamps_in(map_file) == stamps_in(robot.map_file)
+    assert loops_in(map_file) == loops_in(robot.map_file)
+    assert len(loops_in(map_file)) > 5

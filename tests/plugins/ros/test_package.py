@@ -1,0 +1,67 @@
+"""The files of the ROS package agree with its code; ROS is not needed."""
+
+import ast
+import re
+import tomllib
+import xml.etree.ElementTree as ElementTree
+
+import yaml
+from conftest import ROOT
+
+PACKAGE = ROOT / "plugins" / "slam_bof_ros"
+SOURCES = {path.name: ast.parse(path.read_text()) for path in PACKAGE.glob("slam_bof_ros/*.py")}
+LAUNCH = PACKAGE / "launch" / "slam_bof.launch.py"
+OF_PYTHON = {"slam_bof", "slam_bof_plugins", "slam_bof_ros", "numpy", "builtin_interfaces"}
+"""Not named in package.xml: what pip installs, and what every message package brings along."""
+
+
+def imported(tree):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            yield node.module.partition(".")[0]
+
+
+def constant(name):
+    """The value of a constant of node.py, without what only ROS can evaluate."""
+    for node in SOURCES["node.py"].body:
+        target = node.target if isinstance(node, ast.AnnAssign) else None
+        if isinstance(target, ast.Name) and target.id == name:
+            return ast.literal_eval(node.value)
+    raise AssertionError(name)
+
+
+def test_package_xml_names_all_that_is_imported():
+    xml = ElementTree.parse(PACKAGE / "package.xml").getroot()
+    depends = {item.text for item in xml.findall("exec_depend")}
+    trees = [*SOURCES.values(), ast.parse(LAUNCH.read_text())]
+    found = {name for tree in trees for name in imported(tree)}
+    standard = {name for name in found if name in __import__("sys").stdlib_module_names}
+    assert found - standard - OF_PYTHON - {"ament_index_python"} == depends
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    assert xml.findtext("version") == project["version"]
+    assert xml.findtext("export/build_type") == "ament_python"
+
+
+def test_the_file_of_parameters_lists_them_all_with_their_defaults():
+    written = yaml.safe_load((PACKAGE / "config" / "slam_bof.yaml").read_text())
+    assert written["/**"]["ros__parameters"] == constant("PARAMETERS")
+
+
+def test_the_launch_file_sets_parameters_and_topics_that_the_node_has():
+    text = LAUNCH.read_text()
+    (names,) = re.findall(r"for name in \((.*?)\)", text)
+    assert set(re.findall(r'"(\w+)"', names)) <= set(constant("PARAMETERS"))
+    listened = (PACKAGE / "slam_bof_ros" / "node.py").read_text()
+    for topic in re.findall(r'\("(\w[\w/]*)", \[?', text[text.index("remappings") :]):
+        assert f'"{topic}' in listened, topic
+
+
+def test_rviz_shows_topics_that_the_node_publishes():
+    shown = yaml.safe_load((PACKAGE / "rviz" / "slam_bof.rviz").read_text())
+    displays = shown["Visualization Manager"]["Displays"]
+    topics = {item["Topic"]["Value"] for item in displays if "Topic" in item}
+    published = set(re.findall(r'"~/(\w+)"', (PACKAGE / "slam_bof_ros" / "node.py").read_text()))
+    assert topics <= {f"/slam_bof/{name}" for name in published}
+    assert len(topics) >= 5
