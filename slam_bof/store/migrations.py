@@ -109,8 +109,8 @@ def migrate(
     db.execute("PRAGMA legacy_alter_table = ON")
     try:
         if version >= 4:
-            added = [table for since, table in _ADDED if since > version]
-            db.executescript("BEGIN;" + "".join(added))
+            tables_added = (table for since, table in _ADDED if since > version)
+            db.executescript("BEGIN;" + "".join(tables_added))
         else:
             _migrate_to_4(db, version, path, in_place=in_place)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
