@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.core import GrowingArray
 from slam_bof.types import Array, CandidateSource, EdgeKind, Loop
@@ -70,6 +71,12 @@ class LoopLog:
     def of(self, keyframe_id: int) -> list[Loop]:
         """Return the edges between a keyframe and others that are all in use."""
         return [self[number] for number in self._of_keyframe.get(keyframe_id, ())]
+
+    def edges(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+        """Return match and query (E,), (E,) of the edges in use, and their lengths in m."""
+        rows = self._rows.rows[np.fromiter(self._information, np.intp, len(self._information))]
+        lengths_m = np.linalg.norm(rows["T_match_query"][:, :, 3], axis=1)
+        return rows["match_id"], rows["query_id"], lengths_m
 
     def cull(self, keyframe_ids: Collection[int]) -> None:
         """Drop what the edges of culled keyframes no longer need."""
