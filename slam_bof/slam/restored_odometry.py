@@ -52,8 +52,10 @@ def restore_odometry(
     if saved is None or not isinstance(odometry, ResumableOdometry):
         return []
     n = saved.frame_index + 1
+    if n > len(restored):
+        return []
     indices = np.setdiff1d(np.arange(n + len(saved.skipped)), saved.skipped)
-    if len(indices) != n or n > len(restored) or indices[-1] >= len(dataset):
+    if len(indices) != n or indices[-1] >= len(dataset):
         return []
     try:
         odometry.restore(saved.arrays)
