@@ -37,6 +37,7 @@ __all__ = [
     "NullObserver",
     "Observer",
     "Odometry",
+    "ResumableOdometry",
     "ScaledDataset",
     "Verifier",
 ]
@@ -145,6 +146,20 @@ class Odometry(Protocol):
 
     def reset(self) -> None:
         """Return to the initial state; the next frame is the first one."""
+
+
+@runtime_checkable
+class ResumableOdometry(Odometry, Protocol):
+    """An odometry whose state can be saved, so that a resumed run need not repeat it."""
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return arrays that hold all that the next poses depend on, apart from the frames."""
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from a state of ``state``: the next poses are the same to the byte.
+
+        ``ValueError`` if it is no state of this odometry with these parameters.
+        """
 
 
 @runtime_checkable

@@ -19,6 +19,7 @@ from slam_bof.types import (
     Keyframe,
     KeyframeRecord,
     Loop,
+    OdometryState,
     SavedConstellation,
     Scene,
     SubsampledDepth,
@@ -69,6 +70,12 @@ def make_constellation(id_: int = 0) -> SavedConstellation:
     gravity = rng.normal(size=3)
     contours = rng.bytes(CONTOUR_BYTES * (3 + id_ % 4))
     return SavedConstellation(gravity / np.linalg.norm(gravity), "0a1b", contours, 2.5 + id_)
+
+
+def make_odometry(frame_index: int) -> OdometryState:
+    rng = np.random.default_rng(frame_index)
+    points = rng.normal(size=(5 + frame_index, 3))
+    return OdometryState(frame_index, np.array([1, 3]), {"points": points, "n": np.array(7)})
 
 
 def make_record(

@@ -92,8 +92,11 @@ class GtsamBackend:
         self._steps: dict[int, Step] = {}
         self._prior = gtsam.NonlinearFactorGraph()
         self._loops: dict[int, Noisy] = {}
+        self._factors: dict[int, gtsam.NonlinearFactor] = {}
+        """Those of the loops, by the same numbers: to make one takes longer than to add it."""
         self._weights: list[float] = []
         self._settled: list[Noisy] = []
+        self._settled_factors: list[gtsam.NonlinearFactor] = []
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
         self._estimate = gtsam.Values()
@@ -185,11 +188,13 @@ class GtsamBackend:
         self._steps = contraction.steps(self._steps.values(), self._estimate)
         for edge, noise in kept:
             if contraction.touches(edge):
-                contraction.compose(edge, noise)
+                contraction.compose(edge, self._weighted(edge, noise))
         self._settled = contraction.settled
+        self._settled_factors = [self._robust(*noisy) for noisy in self._settled]
         self._loops = {
             k: loop for k, loop in self._loops.items() if not contraction.touches(loop[0])
         }
+        self._factors = {k: self._factors[k] for k in self._loops}
         for key in anchors:
             self._estimate.erase(key)
             del self._nodes[key]
@@ -206,11 +211,12 @@ class GtsamBackend:
         information = loop_information(loop.information, self.params.loop_sigma)
         noise = gtsam.noiseModel.Gaussian.Information(information)
         edge = Edge(loop.match_id, loop.query_id, pose3(loop.T_match_query))
-        self._loops[len(self._weights)] = (edge, noise)
+        number = len(self._weights)
+        self._loops[number], self._factors[number] = (edge, noise), self._robust(edge, noise)
         self._weights.append(1.0)
         joins = self._held.merge(*(self._nodes[key].segment for key in (edge.match, edge.query)))
         if joins or self._is_news(edge):
-            self._new_factors.add(self._robust(edge, noise))
+            self._new_factors.add(self._factors[number])
             self._has_new_loop = True
 
     def update(self) -> None:
@@ -299,10 +305,10 @@ class GtsamBackend:
         graph = gtsam.NonlinearFactorGraph(self._prior)
         for step in self._steps.values():
             graph.add(_factor(step))
-        for edge, noise in self._settled:
-            graph.add(self._robust(edge, noise))
+        for factor in self._settled_factors:
+            graph.add(factor)
         for k in self._kept():
-            graph.add(self._robust(*self._loops[k]))
+            graph.add(self._factors[k])
         return graph
 
     def _start_afresh(self, params: gtsam.ISAM2Params) -> None:
@@ -329,9 +335,18 @@ class GtsamBackend:
 
     def _is_news(self, edge: Edge) -> bool:
         """Tell whether an edge contradicts the estimate by more than the tolerance."""
+        return bool(np.abs(self._error(edge)).max() > self.params.tolerance)
+
+    def _weighted(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.noiseModel.Gaussian:
+        """Return the noise of an edge with the weight that the robust kernel gives it now."""
+        error, information = self._error(edge), noise.information()
+        weight = 1.0 / (1.0 + error @ information @ error / self.params.cauchy**2)
+        return gtsam.noiseModel.Gaussian.Information(weight * information)
+
+    def _error(self, edge: Edge) -> Array:
+        """Return by how much (6,) the estimate differs from an edge."""
         match, query = self._estimate.atPose3(edge.match), self._estimate.atPose3(edge.query)
-        error = gtsam.Pose3.Logmap(edge.measured.between(match.between(query)))
-        return bool(np.abs(error).max() > self.params.tolerance)
+        return np.asarray(gtsam.Pose3.Logmap(edge.measured.between(match.between(query))))
 
     def _robust(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.NonlinearFactor:
         kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(self.params.cauchy)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
 from pydantic import Field
 
 from slam_bof.geometry import back_project, se3
-from slam_bof.types import DepthFrame, Pose
+from slam_bof.types import Array, DepthFrame, Pose
+from slam_bof_plugins.adaptive_threshold import AdaptiveThreshold
 from slam_bof_plugins.odometry_icp import IcpParams
 
 __all__ = ["KissIcpOdometry", "KissIcpParams"]
@@ -61,6 +64,46 @@ class KissIcpOdometry:
         config.registration.convergence_criterion = p.convergence
         config.registration.max_num_threads = p.n_threads
         self._kiss_icp = KissICP(config)
+        self._kiss_icp.adaptive_threshold = AdaptiveThreshold(
+            p.initial_threshold_m, p.min_motion_m, p.max_range_m
+        )
+
+    def state(self) -> dict[str, Array]:
+        """Return the local map, its points in the order of its voxels, and the rest."""
+        kiss_icp = self._kiss_icp
+        points = kiss_icp.local_map.point_cloud().reshape(-1, 3)
+        x, y, z = np.floor(points / self.params.voxel_size_m).T
+        return {
+            # A voxel keeps the order of its points.
+            "points_odom": points[np.lexsort((z, y, x))],
+            "T_odom_camera": np.array(kiss_icp.last_pose),
+            "T_before_last": np.array(kiss_icp.last_delta),
+            "threshold": kiss_icp.adaptive_threshold.state(),
+        }
+
+    def restore(self, state: Mapping[str, Array]) -> None:
+        """Continue from a state of ``state``; ``ValueError`` if it is none."""
+        shapes = {name: np.shape(array) for name, array in state.items()}
+        n_points = len(state["points_odom"]) if "points_odom" in state else 0
+        expected = {
+            "points_odom": (n_points, 3),
+            "T_odom_camera": (4, 4),
+            "T_before_last": (4, 4),
+            "threshold": (2,),
+        }
+        if shapes != expected:
+            raise ValueError(f"found arrays of shapes {shapes}, expected {expected}")
+        farthest_m = np.abs(state["points_odom"]).max(initial=0.0)
+        if not farthest_m < se3.MAX_POSITION_M:
+            raise ValueError(f"found a point at {farthest_m:g} m, expected metres")
+        for name in ("T_odom_camera", "T_before_last"):
+            se3.check_rigid(state[name])
+        self.reset()
+        kiss_icp = self._kiss_icp
+        kiss_icp.adaptive_threshold.restore(state["threshold"])
+        kiss_icp.last_pose = np.array(state["T_odom_camera"], np.float64)
+        kiss_icp.last_delta = np.array(state["T_before_last"], np.float64)
+        kiss_icp.local_map.add_points(np.array(state["points_odom"], np.float64))
 
     def process(self, frame: DepthFrame) -> Pose:
         """Return ``T_odom_camera`` (4, 4); a frame that shows too little repeats the last pose."""

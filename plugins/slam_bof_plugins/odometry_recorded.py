@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.core import open_npy, read_text
@@ -114,6 +116,28 @@ class RecordedOdometry:
         self._T_odom_world: Pose | None = None if self.params.relative else np.eye(4)
         self._T_odom_camera = np.eye(4) if self.params.relative else self._T_world_camera[0]
         self._holds = False
+
+    def state(self) -> dict[str, NDArray[Any]]:
+        """Return the number of frames, whether a pose holds, and the first and the last pose."""
+        first = np.empty((0, 4, 4)) if self._T_first_world is None else self._T_first_world[None]
+        return {
+            "n_frames": np.array(self._n_frames),
+            "holds": np.array(self._holds),
+            "T_first_world": first,
+            "T_odom_camera": self._T_odom_camera.copy(),
+        }
+
+    def restore(self, state: Mapping[str, NDArray[Any]]) -> None:
+        """Continue from a state of ``state``; ``ValueError`` if it is none."""
+        try:
+            n_frames, holds = int(state["n_frames"]), bool(state["holds"])
+            first = [se3.checked_pose(T) for T in state["T_first_world"]]
+            T_odom_camera = se3.checked_pose(state["T_odom_camera"])
+        except (KeyError, TypeError, OverflowError) as error:
+            raise ValueError(f"found no state of recorded odometry ({error})") from None
+        self._n_frames, self._holds = n_frames, holds
+        self._T_first_world = first[0] if first else None
+        self._T_odom_camera = T_odom_camera
 
     def process(self, frame: DepthFrame) -> Pose:
         """Return the recorded ``T_odom_camera`` (4, 4) at the frame's time, whatever it shows."""

@@ -275,6 +275,12 @@ def _resume(
         if view is not None:
             _view_map(observer, result.folder)
     _show(result, as_json=as_json)
+    if not as_json:
+        metrics = result.metrics
+        typer.echo(
+            f"Resumed after {metrics['n_frames_resumed']} frames; the odometry ran again over "
+            f"{metrics['n_frames_repeated']} of them."
+        )
 
 
 @contextmanager

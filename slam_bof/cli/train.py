@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -13,7 +14,6 @@ from slam_bof.cli.options import CAMERA, COPIES, EVERY, JSON, N_WORDS, QUIET, SE
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
-    from slam_bof.bof import PlaceParams
     from slam_bof.evaluation import TrainedSceneModel
 
 __all__ = ["train"]
@@ -111,6 +111,17 @@ def train(
         ),
     ] = None,
     seed: SEED = 0,
+    jobs: Annotated[
+        int, typer.Option("--jobs", "-j", min=1, help="Number of frames described at a time.")
+    ] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            metavar="tcp://HOST:PORT",
+            help="Describe frames on the Dask cluster of this scheduler (extra dask). They are "
+            "read here. The model is the same.",
+        ),
+    ] = None,
     as_json: JSON = False,
     quiet: QUIET = False,
 ) -> None:
@@ -136,24 +147,36 @@ def train(
         raise ConfigError("--page: found without a check, expected --check and labels")
     from slam_bof.bof import LayerParams, PlaceParams
     from slam_bof.cli.console import Bars
+    from slam_bof.core import on_cluster
     from slam_bof.datasets import (
         frames_of,
         has_groups,
         open_labelled,
+        open_sequences,
         parse_label,
         read_image_table,
         read_label_file,
     )
-    from slam_bof.evaluation import train_scene_model
+    from slam_bof.evaluation import TrainedSceneModel, train_scene_model, train_words
     from slam_bof.scenes import model as models
 
     _check_out(out)
     n_layers = LayerParams().n_layers if layers is None else layers
     params = PlaceParams(layers=LayerParams(n_layers=n_layers, rounding=rounding))
+    n_jobs = jobs if scheduler is None else None
+    cluster = nullcontext() if scheduler is None else on_cluster(scheduler)
     if unlabelled:
-        trained = _train_words(
-            unlabelled, params, n_words=n_words, every=every, seed=seed, quiet=quiet
-        )
+        with cluster, Bars(quiet=quiet) as bars:
+            model = train_words(
+                [dataset for path in unlabelled for dataset in open_sequences(path)],
+                params,
+                n_words=n_words,
+                every=every,
+                seed=seed,
+                n_jobs=n_jobs,
+                on_progress=bars.show,
+            )
+        trained = TrainedSceneModel(model)
         models.save(trained.model, out)
         _show(trained, out, as_json=as_json)
         return
@@ -165,7 +188,7 @@ def train(
         sequences += read_label_file(csv)
     names = sorted({f"{s.dataset.sequence} ({s.label})" for s in sequences})
     names += [f"{len(images)} images of {csv.name}"] if csv is not None and images else []
-    with Bars(quiet=quiet) as bars:
+    with cluster, Bars(quiet=quiet) as bars:
         trained = train_scene_model(
             [*frames_of(sequences, every=every), *images],
             params,
@@ -178,6 +201,7 @@ def train(
             n_copies=copies if images else 0,
             start=None if start is None else models.resolve(start),
             seed=seed,
+            n_jobs=n_jobs,
             on_progress=bars.show,
         )
     models.save(trained.model, out)
@@ -201,22 +225,6 @@ def _check_descriptor(
         raise ConfigError(
             f"--grid-search: found with --classifier {classifier}, expected one of the two"
         )
-
-
-def _train_words(
-    paths: list[Path], params: PlaceParams, *, n_words: int, every: int, seed: int, quiet: bool
-) -> TrainedSceneModel:
-    """Learn the words of sequences without labels."""
-    from slam_bof.cli.console import Bars
-    from slam_bof.datasets import open_sequences
-    from slam_bof.evaluation import TrainedSceneModel, train_words
-
-    datasets = [dataset for path in paths for dataset in open_sequences(path)]
-    with Bars(quiet=quiet) as bars:
-        model = train_words(
-            datasets, params, n_words=n_words, every=every, seed=seed, on_progress=bars.show
-        )
-    return TrainedSceneModel(model)
 
 
 def _write_page(trained: TrainedSceneModel, out: Path, folder: Path) -> list[Path]:

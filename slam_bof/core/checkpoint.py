@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from dataclasses import is_dataclass
 from enum import Enum
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 from pydantic import BaseModel
@@ -51,18 +51,21 @@ class Checkpoint:
 
     def save(self, *objects: object) -> None:
         """Remember the state of objects and of all that they hold."""
-        pending: list[object] = list(objects)
+        pending = _choose_mutable(objects)
         while pending:
             thing = pending.pop()
-            if not _is_mutable(type(thing)) or id(thing) in self._saved:
+            if id(thing) in self._saved:
                 continue
             self._saved[id(thing)] = thing
-            if isinstance(thing, Restorable):
-                self._restores.append(thing.checkpoint())
+            kind = type(thing)
+            if kind not in _saves_itself:
+                _saves_itself[kind] = isinstance(thing, Restorable)
+            if _saves_itself[kind]:
+                self._restores.append(cast(Restorable, thing).checkpoint())
                 continue
             restore, held = _remember(thing)
             self._restores.append(restore)
-            pending.extend(held)
+            pending.extend(_choose_mutable(held))
 
     def save_attributes(self, thing: object, *names: str) -> None:
         """Remember only which objects some attributes refer to."""
@@ -80,7 +83,18 @@ class Checkpoint:
             restore()
 
 
-def _remember(thing: Any) -> tuple[Restore, Iterable[object]]:
+_saves_itself: dict[type, bool] = {}
+"""Whether objects of a type are ``Restorable``, which takes too long to ask of each."""
+_kinds: dict[type, bool] = {}
+
+
+def _choose_mutable(things: Collection[object]) -> list[object]:
+    """Return the objects that may change in place: mostly none of thousands, by few types."""
+    kinds = {kind for kind in set(map(type, things)) if _is_mutable(kind)}
+    return [thing for thing in things if type(thing) in kinds] if kinds else []
+
+
+def _remember(thing: Any) -> tuple[Restore, Collection[object]]:
     """Return a function that restores one object, and what the object holds."""
     if isinstance(thing, list):
         items = thing.copy()
@@ -106,9 +120,6 @@ def _remember(thing: Any) -> tuple[Restore, Iterable[object]]:
 def _sample(items: list[Any]) -> list[Any]:
     """Return the items of a list if they can change; a list holds objects of one kind."""
     return items if items and _is_mutable(type(items[0])) else []
-
-
-_kinds: dict[type, bool] = {}
 
 
 def _is_mutable(kind: type) -> bool:

@@ -71,6 +71,7 @@ def train_scene_model(
     n_copies: int = 0,
     start: Model | None = None,
     seed: int = 0,
+    n_jobs: int | None = 1,
     on_progress: Progress = lambda what, done, total: None,
 ) -> TrainedSceneModel:
     """Train a model on all frames; each is read and described once.
@@ -103,6 +104,9 @@ def train_scene_model(
         A model to continue, instead of training a new one; its words and parameters stay.
     seed
         Seed of all random numbers.
+    n_jobs
+        Number of frames described at a time, each in a process of its own; None for that of the
+        cluster of ``core.on_cluster``. The model does not depend on it.
     on_progress
         Called with the name of the current task, the number of steps done, and their total.
 
@@ -120,7 +124,12 @@ def train_scene_model(
     split.check(min_classes=2 if start is None else 1)
     levelled = levelled and classifier is None and not grid_search
     described = describe_frames(
-        _read(frames, on_progress), params, levelled=levelled, n_copies=n_copies, seed=seed
+        _read(frames, on_progress),
+        params,
+        levelled=levelled,
+        n_copies=n_copies,
+        seed=seed,
+        n_jobs=n_jobs,
     )
     index = {id(frame): k for k, frame in enumerate(frames)}
     train, test = ([index[id(frame)] for frame in side] for side in (split.train, split.test))
@@ -173,9 +182,12 @@ def train_words(
     n_words: int = 1024,
     every: int = 1,
     seed: int = 0,
+    n_jobs: int | None = 1,
     on_progress: Progress = lambda what, done, total: None,
 ) -> Model:
     """Train a model without labels: the words and idf of every n-th frame.
+
+    ``n_jobs`` is that of ``train_scene_model``.
 
     Raises
     ------
@@ -192,7 +204,13 @@ def train_words(
     names = ", ".join(sorted({dataset.sequence for dataset in datasets}))
     try:
         return train_model(
-            read(), params, n_words=n_words, seed=seed, trained_on=names, levelled=False
+            read(),
+            params,
+            n_words=n_words,
+            seed=seed,
+            trained_on=names,
+            levelled=False,
+            n_jobs=n_jobs,
         )
     except ValueError as error:
         raise DatasetError(f"{names}: cannot train on {len(frames)} frames: {error}") from error

@@ -145,15 +145,19 @@ def _solve_step(pairs: Array, gate_m: float) -> Array:
             centre[i] += weights[k] * pairs[k, i]
             square += weights[k] * pairs[k, i] * pairs[k, i]
     radius_m = np.sqrt(max(square - (centre * centre).sum(), 1e-4))
-    instruments, rows = np.empty((len(pairs), 6)), np.empty((len(pairs), 7))
+    # Sums are written out: the last digits of BLAS depend on where the arrays lie in memory.
+    products = np.zeros((6, 7))
+    instrument, row = np.empty(6), np.empty(7)
     for k in range(len(pairs)):
         x = (pairs[k, 0] - centre[0]) / radius_m
         y = (pairs[k, 1] - centre[1]) / radius_m
         z = (pairs[k, 2] - centre[2]) / radius_m
-        fill_derivative(instruments[k], x, y, z, pairs[k, 3:6], weights[k])
-        fill_derivative(rows[k], x, y, z, pairs[k, 6:9], 1.0)
-        rows[k, 6] = pairs[k, 9]
-    products = instruments.T @ rows
+        fill_derivative(instrument, x, y, z, pairs[k, 3:6], weights[k])
+        fill_derivative(row, x, y, z, pairs[k, 6:9], 1.0)
+        row[6] = pairs[k, 9]
+        for i in range(6):
+            for j in range(7):
+                products[i, j] += instrument[i] * row[j]
     symmetric = 0.5 * (products[:, :6] + products[:, :6].T)
     values, vectors = np.linalg.eigh(symmetric)
     for j in range(6):

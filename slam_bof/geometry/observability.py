@@ -139,14 +139,17 @@ def _cross_information(
             centre[i] += points[k, i] / m
             square += points[k, i] * points[k, i] / m
     radius_m = max(np.sqrt(max(square - (centre * centre).sum(), 0.0)), MIN_RADIUS_M)
-    by_query, by_match = np.empty((m, 6)), np.empty((m, 6))
+    cross = np.zeros((6, 6))
+    by_query, by_match = np.empty(6), np.empty(6)
     for k in range(m):
         x = (points[k, 0] - centre[0]) / radius_m
         y = (points[k, 1] - centre[1]) / radius_m
         z = (points[k, 2] - centre[2]) / radius_m
-        fill_derivative(by_query[k], x, y, z, normals_query[k], 1.0 / m)
-        fill_derivative(by_match[k], x, y, z, normals_match[k], 1.0)
-    cross = by_query.T @ by_match
+        fill_derivative(by_query, x, y, z, normals_query[k], 1.0 / m)
+        fill_derivative(by_match, x, y, z, normals_match[k], 1.0)
+        for i in range(6):
+            for j in range(6):
+                cross[i, j] += by_query[i] * by_match[j]
     return centre, radius_m, cross
 
 

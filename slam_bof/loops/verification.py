@@ -207,8 +207,8 @@ class LoopVerification:
         T_map_camera
             (K, 4, 4) poses of all keyframes in the map so far.
         path_m
-            (K,) distance that the camera had travelled at each; by default that of a straight line
-            from one to the next.
+            (K,) length of the shortest path in the pose graph from each to the newest, over which
+            the map may have drifted; by default along straight lines from one to the next.
         components
             (K,) component of each; by default all are in one. Poses of different components cannot
             be compared.
@@ -218,7 +218,8 @@ class LoopVerification:
         if path_m is None:
             steps_m = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
             # The distance between components does not say how far the camera went.
-            path_m = np.append(0.0, np.cumsum(steps_m * (np.diff(components) == 0)))
+            travelled_m = np.append(0.0, np.cumsum(steps_m * (np.diff(components) == 0)))
+            path_m = travelled_m[-1] - travelled_m
         decided: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
@@ -299,7 +300,7 @@ class LoopVerification:
             return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
         if components[candidate.match_id] != components[candidate.query_id]:
             return ""
-        between_m = float(path_m[candidate.query_id] - path_m[candidate.match_id])
+        between_m = float(path_m[candidate.match_id])
         T_map_match, T_map_query = T_map_camera[[candidate.match_id, candidate.query_id]]
         moved_m, turned_rad = _size(
             se3.inverse(verified.T_match_query) @ se3.inverse(T_map_match) @ T_map_query

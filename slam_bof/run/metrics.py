@@ -55,6 +55,7 @@ def count_metrics(
         "n_frames": len(result.optimized),
         "n_frames_skipped": result.n_skipped,
         "n_frames_resumed": result.n_resumed,
+        "n_frames_repeated": result.n_repeated,
         "n_keyframes": len(result.keyframes),
         "n_odometry_lost": closer.n_odometry_lost,
         "n_frames_lost": closer.n_frames_lost,

@@ -145,7 +145,8 @@ def resume_sequence(
     """Resume an interrupted run after its last saved keyframe.
 
     The configuration is the one saved in the map. The files go to the run's own folder if the map
-    is in it, otherwise to a new one. Odometry runs again over the frames before the last keyframe.
+    is in it, otherwise to a new one. The odometry goes on from its last saved state; if it cannot
+    save it, it runs again over the frames before the last keyframe.
     A run that was finished writes its files again.
 
     Raises
@@ -236,12 +237,19 @@ def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: 
     for doubt in doubts:
         job.observer.on_warning(doubt)
     with MapWriter(store) as writer:
+        odometry = None if is_new else store.odometry(session.id)
         restore_session(closer, store, session, is_new=is_new)
-        closer.journal = writer.write
         slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
+        closer.journal = lambda record: writer.write(record, slam.odometry_state(record))
         health = job.observer.health.saved_in(folder / "health.csv", len(closer.history))
         with _resumable(folder, job), health:
-            result = slam.run(job.dataset, max_frames=job.max_frames)
+            result = slam.run(job.dataset, max_frames=job.max_frames, odometry=odometry)
+        if result.n_resumed:
+            logger.info(
+                "resumed after %d frames; the odometry ran again over %d of them",
+                result.n_resumed,
+                result.n_repeated,
+            )
     with _resumable(folder, job):
         return _conclude(job, folder, store, session, result, started, doubts)
 

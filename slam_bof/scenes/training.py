@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import Any
 
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.bof import PlaceParams, TfIdf, Vocabulary, count_words, descriptors
+from slam_bof.core import one_blas_thread
 from slam_bof.errors import ModelError
 from slam_bof.scenes.augmentation import remeasure
 from slam_bof.scenes.bag_classifier import SceneClassifier
@@ -94,6 +97,7 @@ def train_model(
     trained_on: str,
     bag_classifier: SceneClassifier | None = None,
     levelled: bool = True,
+    n_jobs: int | None = 1,
     on_frame: Callable[[int], None] | None = None,
 ) -> Model:
     """Train a model on frames; without labels of two classes it has no scene classifier.
@@ -114,10 +118,12 @@ def train_model(
         The classifier of bags to fit, by default a linear one with ``seed``.
     levelled
         Whether to train a levelled classifier too, which the model then prefers for its labels.
+    n_jobs
+        Number of frames described at a time; see ``describe_frames``.
     on_frame
         Called after each frame with the number of frames described so far.
     """
-    described = describe_frames(frames, params, levelled=levelled, on_frame=on_frame)
+    described = describe_frames(frames, params, levelled=levelled, n_jobs=n_jobs, on_frame=on_frame)
     return fit_model(
         described,
         params,
@@ -135,12 +141,15 @@ def describe_frames(
     levelled: bool = False,
     n_copies: int = 0,
     seed: int = 0,
+    n_jobs: int | None = 1,
     on_frame: Callable[[int], None] | None = None,
 ) -> FrameDescriptors:
     """Return the BOF descriptors of frames, and their levelled features where ``levelled``.
 
     With ``n_copies`` there are levelled features of as many copies of each frame too, as other
-    sensors, drawn by ``seed``, would have measured it.
+    sensors, drawn by ``seed``, would have measured it. ``n_jobs`` frames are described at a time,
+    each in a process of its own; None for that of the cluster of ``core.on_cluster``. The result
+    does not depend on it.
     """
     values = [np.empty((0, params.bof.n_values), np.float32)]
     labels: list[str | None] = []
@@ -149,14 +158,24 @@ def describe_frames(
     copies: list[tuple[LevelledFeatures, ...]] = []
     are_rooms = True
     rng = np.random.default_rng(seed)
-    for n_done, item in enumerate(frames, start=1):
-        values.append(descriptors(item.frame, params, gravity_camera=item.gravity_camera))
-        labels.append(item.label)
-        groups.append(item.group)
+
+    def jobs() -> Iterator[Any]:
+        """Random numbers run on from frame to frame, so copies are made here."""
+        nonlocal are_rooms
+        for item in frames:
+            labels.append(item.label)
+            groups.append(item.group)
+            are_rooms &= item.is_room
+            views = [(item.frame, item.gravity_camera)]
+            views += [remeasure(item.frame, rng, item.gravity_camera) for _ in range(n_copies)]
+            yield joblib.delayed(_describe_frame)(views, params, levelled)
+
+    described = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs())
+    for n_done, (of_frame, of_views) in enumerate(described, start=1):
+        values.append(of_frame)
         if levelled:
-            features.append(levelled_features(item.frame, gravity_camera=item.gravity_camera))
-            copies.append(_copies(item, n_copies, rng))
-        are_rooms &= item.is_room
+            features.append(of_views[0])
+            copies.append(of_views[1:])
         if on_frame is not None:
             on_frame(n_done)
     return FrameDescriptors(
@@ -170,12 +189,16 @@ def describe_frames(
     )
 
 
-def _copies(
-    item: TrainingFrame, n_copies: int, rng: np.random.Generator
-) -> tuple[LevelledFeatures, ...]:
-    """Return the levelled features of a frame as other sensors would have measured it."""
-    remeasured = [remeasure(item.frame, rng, item.gravity_camera) for _ in range(n_copies)]
-    return tuple(levelled_features(frame, gravity_camera=down) for frame, down in remeasured)
+@one_blas_thread()
+def _describe_frame(
+    views: Sequence[tuple[DepthFrame, Array | None]], params: PlaceParams, levelled: bool
+) -> tuple[NDArray[np.float32], tuple[LevelledFeatures, ...]]:
+    """Return the BOF descriptors of a frame, and the levelled features of it and its copies."""
+    frame, gravity_camera = views[0]
+    return (
+        descriptors(frame, params, gravity_camera=gravity_camera),
+        tuple(levelled_features(view, gravity_camera=down) for view, down in views if levelled),
+    )
 
 
 def fit_model(

@@ -36,6 +36,16 @@ class MapParams(Params):
         description="Number of older keyframes at the viewpoint of a keyframe from which it is "
         "removed.",
     )
+    large: int = Field(
+        300,
+        gt=0,
+        description="Number of keyframes in use from which a map is large.",
+    )
+    n_views_large: int = Field(
+        3,
+        gt=0,
+        description="The same number as n_views in a large map, whose cost counts for more.",
+    )
     same_m: float = Field(
         0.2,
         gt=0,
@@ -49,7 +59,8 @@ class MapParams(Params):
     every: int = Field(
         16,
         gt=0,
-        description="Number of keyframes after which removable ones are looked for again.",
+        description="Number of keyframes after which removable ones are looked for again; an "
+        "eighth of the keyframes in use where that is more.",
     )
     max_edges: int = Field(
         12,
@@ -75,7 +86,9 @@ class KeyframeCulling:
         Number of keyframes for which a loop may wait for others to agree.
     max_distance_m, max_angle_rad
         Largest error, in the map, of the loops of a keyframe that is culled. A keyframe with a
-        loop that the map contradicts is kept until the final optimisation, which weighs all loops.
+        loop that the map contradicts is kept until the final optimisation, which weighs all loops,
+        unless twice as many older ones show the same: some loops are always a little off, and
+        their keyframes would be kept for ever.
 
     Attributes
     ----------
@@ -97,9 +110,11 @@ class KeyframeCulling:
 
         ``waiting`` are the ids of keyframes whose loops are not settled yet.
         """
-        newest = len(graph.anchors) - 1
-        if newest % self.params.every:
+        # To remove some costs as much as the whole graph, so it is done less often where it grows.
+        every = max(self.params.every, len(graph.in_use) // 8)
+        if len(self.undecided) < self._window + every:
             return {}
+        newest = len(graph.anchors) - 1
         anchors: dict[int, int] = {}
         for keyframe_id in list(self.undecided):
             if newest - keyframe_id <= self._window or keyframe_id in waiting:
@@ -122,9 +137,11 @@ class KeyframeCulling:
         apart = np.linalg.norm(T[:, :3, 3], axis=1) / p.same_m
         turned = np.asarray(se3.rotation_angle(T)) / p.same_rad
         same = (apart < 1.0) & (turned < 1.0)
-        if same.sum() < p.n_views or any(self._contradicts(loop, graph) for loop in loops):
+        n_views = p.n_views if len(graph.in_use) < p.large else p.n_views_large
+        agreeing = [loop for loop in loops if not self._contradicts(loop, graph)]
+        if same.sum() < (n_views if len(agreeing) == len(loops) else 2 * n_views):
             return None
-        same &= np.isin(older, [loop.match_id for loop in loops])
+        same &= np.isin(older, [loop.match_id for loop in agreeing])
         if not same.any():
             return None
         return int(older[same][(apart + turned)[same].argmin()])

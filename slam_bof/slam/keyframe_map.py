@@ -264,7 +264,7 @@ class KeyframeMap:
                 candidates,
                 aligned,
                 T_map_camera,
-                path_m=self.graph.path_m,
+                path_m=self.graph.shortest_paths_m() if candidates else None,
                 components=components,
             )
         self._add_loops(verified.admitted)

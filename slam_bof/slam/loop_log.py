@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.core import GrowingArray
 from slam_bof.types import Array, CandidateSource, EdgeKind, Loop
@@ -33,7 +34,7 @@ class LoopLog:
     def __init__(self) -> None:
         self._rows = GrowingArray((), ROW)
         self._information: dict[int, Array] = {}
-        self._of_keyframe: dict[int, list[int]] = {}
+        self._of_keyframe: dict[int, tuple[int, ...]] = {}
 
     def __len__(self) -> int:
         """Return the number of edges."""
@@ -65,18 +66,25 @@ class LoopLog:
         self._rows.append(np.array(row, ROW))
         self._information[number] = loop.information
         for keyframe_id in (loop.query_id, loop.match_id):
-            self._of_keyframe.setdefault(keyframe_id, []).append(number)
+            self._of_keyframe[keyframe_id] = (*self._of_keyframe.get(keyframe_id, ()), number)
 
     def of(self, keyframe_id: int) -> list[Loop]:
         """Return the edges between a keyframe and others that are all in use."""
-        return [self[number] for number in self._of_keyframe.get(keyframe_id, [])]
+        return [self[number] for number in self._of_keyframe.get(keyframe_id, ())]
+
+    def edges(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
+        """Return match and query (E,), (E,) of the edges in use, and their lengths in m."""
+        rows = self._rows.rows[np.fromiter(self._information, np.intp, len(self._information))]
+        lengths_m = np.linalg.norm(rows["T_match_query"][:, :, 3], axis=1)
+        return rows["match_id"], rows["query_id"], lengths_m
 
     def cull(self, keyframe_ids: Collection[int]) -> None:
         """Drop what the edges of culled keyframes no longer need."""
-        gone = {k for keyframe_id in keyframe_ids for k in self._of_keyframe.pop(keyframe_id, [])}
+        gone = {k for keyframe_id in keyframe_ids for k in self._of_keyframe.pop(keyframe_id, ())}
+        rows, touched = self._rows.rows, set()
         for number in gone:
-            row = self._rows.rows[number]
             del self._information[number]
-            for keyframe_id in (int(row["query_id"]), int(row["match_id"])):
-                if keyframe_id in self._of_keyframe:
-                    self._of_keyframe[keyframe_id].remove(number)
+            touched |= {int(rows["query_id"][number]), int(rows["match_id"][number])}
+        for keyframe_id in touched & self._of_keyframe.keys():
+            kept = tuple(k for k in self._of_keyframe[keyframe_id] if k not in gone)
+            self._of_keyframe[keyframe_id] = kept

@@ -12,16 +12,24 @@ from numpy.typing import NDArray
 from slam_bof.core import StageClock
 from slam_bof.datasets import first_frame
 from slam_bof.errors import DatasetError, FrameError
-from slam_bof.geometry import se3
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.slam.loop_closer import LoopCloser
+from slam_bof.slam.restored_odometry import (
+    check_odometry,
+    check_stamp,
+    restore_odometry,
+    state_of,
+)
 from slam_bof.types import (
+    LOST,
     Array,
     Candidate,
     DepthFrame,
     FramePose,
     Keyframe,
+    KeyframeRecord,
     Loop,
+    OdometryState,
     Pose,
     Step,
     Trajectory,
@@ -31,8 +39,8 @@ __all__ = ["MiniSlam", "SlamResult", "of_session"]
 
 Pair = TypeVar("Pair", Loop, Candidate)
 
-MAX_ODOMETRY_DIFFERENCE = 1e-6
-"""Largest difference of the odometry, in any entry of the pose, when a run is resumed."""
+SAVE_EVERY = 8
+"""Number of keyframes from one saved state of the odometry to the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +58,8 @@ class SlamResult:
     n_skipped: int
     n_resumed: int
     """Number of frames that were restored from an interrupted run."""
+    n_repeated: int
+    """Number of these that the odometry had to process again."""
     keyframes: list[Keyframe]
     T_map_camera: Array
     loops: list[Loop]
@@ -73,12 +83,20 @@ class MiniSlam:
         self._closer = closer
         self._observer = observer or NullObserver()
         self._clock = clock or StageClock()
+        self._indices: list[int] = []
+        """Indices of the frames of the data set so far; those that cannot be used are missing."""
 
-    def run(self, dataset: Dataset, *, max_frames: int | None = None) -> SlamResult:
+    def run(
+        self,
+        dataset: Dataset,
+        *,
+        max_frames: int | None = None,
+        odometry: OdometryState | None = None,
+    ) -> SlamResult:
         """Process the sequence; a frame that cannot be read or used is skipped with a warning.
 
         Frames that the loop closer has restored from an interrupted run are processed by the
-        odometry alone.
+        odometry alone. Those up to a saved state of the odometry are not even read.
 
         Raises
         ------
@@ -88,22 +106,27 @@ class MiniSlam:
         n_frames = min(len(dataset), max_frames or len(dataset))
         self._observer.on_start(n_frames)
         restored, first = list(self._closer.history.frames), first_frame(dataset)
-        indices: list[int] = []
-        poses: list[Pose] = []
-        for index, frame in self._read(dataset, n_frames):
+        self._indices = restore_odometry(self._odometry, odometry, dataset, restored)
+        n_known = len(self._indices)
+        poses = [frame.T_odom_raw for frame in restored[:n_known]]
+        for index, before in zip(self._indices, restored, strict=False):
+            self._observer.on_step(index, _step_of(before))
+        start = self._indices[-1] + 1 if n_known else 0
+        for index, frame in self._read(dataset, start, n_frames):
             with self._clock.stage("odometry"):
                 T_odom_camera = self._odometry.process(frame)
             try:
                 if len(poses) < len(restored):
                     before = restored[len(poses)]
-                    _check_same(dataset, index, frame, T_odom_camera, before)
-                    step = Step(None, None, (), (), np.eye(4), is_lost=before.segment < 0)
+                    check_stamp(dataset, index, frame, before)
+                    check_odometry(dataset, index, T_odom_camera, before)
+                    step = _step_of(before)
                 else:
                     step = self._closer.process(frame, T_odom_camera)
             except FrameError as error:
                 self._observer.on_warning(f"frame {first + index} skipped: {error}")
                 continue
-            indices.append(index)
+            self._indices.append(index)
             poses.append(T_odom_camera)
             self._observer.on_step(index, step)
         if len(poses) < len(restored):
@@ -111,11 +134,27 @@ class MiniSlam:
                 f"{dataset.sequence}: found {len(poses)} frames, expected at least the "
                 f"{len(restored)} frames of the interrupted run"
             )
-        return self._result(indices, poses, n_frames=n_frames, n_resumed=len(restored))
+        return self._result(
+            poses, n_frames=n_frames, n_resumed=len(restored), n_repeated=len(restored) - n_known
+        )
 
-    def _read(self, dataset: Dataset, n_frames: int) -> Iterator[tuple[int, DepthFrame]]:
-        """Yield the first frames of a sequence; skip those that cannot be read."""
-        for index in range(n_frames):
+    def odometry_state(self, record: KeyframeRecord) -> OdometryState | None:
+        """Return the state of the odometry to be saved with a keyframe, None if none is to be.
+
+        It is saved with some keyframes, if the odometry can save it and has not gone on since, as
+        it has when keyframes are processed in the background.
+        """
+        keyframe = record.keyframe
+        is_newest = keyframe.frame_index == len(self._indices)
+        if keyframe.id % SAVE_EVERY or not is_newest:
+            return None
+        return state_of(self._odometry, self._indices)
+
+    def _read(
+        self, dataset: Dataset, start: int, n_frames: int
+    ) -> Iterator[tuple[int, DepthFrame]]:
+        """Yield the frames of a sequence from ``start`` on; skip those that cannot be read."""
+        for index in range(start, n_frames):
             try:
                 with self._clock.stage("read"):
                     frame = dataset.frame(index)
@@ -125,7 +164,7 @@ class MiniSlam:
                 yield index, frame.corrected(self._closer.sensor)
 
     def _result(
-        self, indices: list[int], poses: list[Pose], *, n_frames: int, n_resumed: int
+        self, poses: list[Pose], *, n_frames: int, n_resumed: int, n_repeated: int
     ) -> SlamResult:
         """Finish the loop closer and return the result of the session."""
         stamps_s = np.array([frame.stamp_s for frame in self._closer.history.frames])
@@ -136,9 +175,10 @@ class MiniSlam:
         return SlamResult(
             odometry=Trajectory(stamps_s, np.array(poses).reshape(-1, 4, 4)),
             optimized=optimized,
-            indices=np.array(indices, dtype=np.int64),
-            n_skipped=n_frames - len(indices),
+            indices=np.array(self._indices, dtype=np.int64),
+            n_skipped=n_frames - len(self._indices),
             n_resumed=n_resumed,
+            n_repeated=n_repeated,
             keyframes=[replace(k, id=k.id - first) for k in keyframes.of_session],
             T_map_camera=T_map_camera[first:],
             loops=of_session(keyframes.loops, ids),
@@ -156,20 +196,6 @@ def of_session(pairs: Iterable[Pair], ids: range) -> list[Pair]:
     ]
 
 
-def _check_same(
-    dataset: Dataset, index: int, frame: DepthFrame, T_odom_camera: Pose, before: FramePose
-) -> None:
-    """Check that a frame and its odometry are the same as in the interrupted run."""
-    where = f"{dataset.sequence}: frame {index}"
-    if frame.stamp_s != before.stamp_s:
-        raise DatasetError(
-            f"{where}: found stamp {frame.stamp_s} s, expected {before.stamp_s} s as in the "
-            "interrupted run: is this the same sequence?"
-        )
-    difference = float(np.abs(se3.inverse(before.T_odom_raw) @ T_odom_camera - np.eye(4)).max())
-    if difference > MAX_ODOMETRY_DIFFERENCE:
-        raise DatasetError(
-            f"{where}: found an odometry pose that differs by {difference:.2g} (m, rad) from that "
-            "of the interrupted run, expected the same: is this the same sequence, and is the "
-            "odometry deterministic?"
-        )
+def _step_of(frame: FramePose) -> Step:
+    """Return the step of a restored frame."""
+    return Step(None, None, (), (), np.eye(4), is_lost=frame.segment == LOST)

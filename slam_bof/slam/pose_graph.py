@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from slam_bof.core import Checkpoint, GrowingArray
 from slam_bof.geometry import se3
@@ -21,6 +23,8 @@ MAX_RELATIVE_SIGMA = 0.7
 """Odometry replaces tracking if its standard deviation is at most this share of that of an edge."""
 MAX_STEP_SIGMA = 2.0
 """Odometry is trusted against single views if its steps have at most this multiple of it."""
+MIN_EDGE_M = 1e-6
+"""Length of an edge between two keyframes at the same place."""
 
 
 class MapGraph:
@@ -51,7 +55,7 @@ class MapGraph:
         self._T_map_camera = GrowingArray((4, 4), np.float64)
         self._anchors = GrowingArray((), np.int64)
         self._T_anchor_keyframe = GrowingArray((4, 4), np.float64)
-        self._path_m = GrowingArray((), np.float64)
+        self._travelled_m = GrowingArray((), np.float64)
         self._keyframes: dict[int, Keyframe] = {}
         self._noise: dict[int, OdometryNoise] = {}
 
@@ -82,7 +86,7 @@ class MapGraph:
         self._anchors.append(keyframe.id)
         self._T_anchor_keyframe.append(np.eye(4))
         self._refresh()
-        self._path_m.append(self._travelled_m())
+        self._travelled_m.append(self._travelled())
 
     def add_loops(self, loops: Iterable[Loop]) -> None:
         """Add the edges that came with the newest keyframe, and bring the map up to date."""
@@ -132,10 +136,24 @@ class MapGraph:
         """The poses (K, 4, 4) of keyframes in use by their ids; those of others are outdated."""
         return self._T_map_camera.rows
 
-    @property
-    def path_m(self) -> Array:
-        """How far (K,) the camera had travelled at each keyframe, in m; losses do not count."""
-        return self._path_m.rows
+    def shortest_paths_m(self) -> Array:
+        """Return the length (K,), in m, of the shortest path from each keyframe to the newest.
+
+        Paths lead along the steps between keyframes in use and along loops. Over so far the map may
+        have drifted: where a loop has closed a circle, less than the camera has travelled since.
+        A step over which odometry was lost has no length. Culled keyframes are infinitely far.
+        """
+        travelled_m, ids = self._travelled_m.rows, self.in_use
+        match_ids, query_ids, lengths_m = self.log.edges()
+        starts: NDArray[np.int64] = np.append(ids[:-1], match_ids)
+        stops: NDArray[np.int64] = np.append(ids[1:], query_ids)
+        lengths_m = np.append(np.diff(travelled_m[ids]), lengths_m)
+        n, order = len(travelled_m), np.argsort(lengths_m, kind="stable")
+        # Of several edges between two keyframes the shortest; of length 0 it would be no edge.
+        _, first = np.unique((n * starts + stops)[order], return_index=True)
+        chosen = order[first]
+        edges = (np.maximum(lengths_m[chosen], MIN_EDGE_M), (starts[chosen], stops[chosen]))
+        return np.asarray(dijkstra(csr_array(edges, (n, n)), directed=False, indices=n - 1))
 
     @property
     def anchors(self) -> NDArray[np.int64]:
@@ -166,12 +184,12 @@ class MapGraph:
         """Read the poses of keyframes in use from the back-end."""
         self._T_map_camera.rows[self.in_use] = self.backend.poses()
 
-    def _travelled_m(self) -> float:
+    def _travelled(self) -> float:
         """Return how far the camera has come at the newest keyframe."""
         components = self.components.of_keyframes()
         if len(components) == 1:
             return 0.0
-        before_m = float(self._path_m.rows[-1])
+        before_m = float(self._travelled_m.rows[-1])
         if components[-2] != components[-1]:
             return before_m
         step_m = np.diff(self._T_map_camera.rows[-2:, :3, 3], axis=0)

@@ -23,6 +23,7 @@ NAMES = {
     "constellations": "constellation of keyframe",
     "frames": "frame, row",
     "candidates": "candidate",
+    "odometry": "state of the odometry,",
     "regions": "room",
     "parameters": "parameter",
 }

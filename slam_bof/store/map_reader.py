@@ -21,6 +21,7 @@ from slam_bof.store.row_codec import (
     decode_frame,
     decode_keyframe,
     decode_loop,
+    decode_odometry,
     decode_pose,
     decode_region,
     decode_scene,
@@ -36,6 +37,7 @@ from slam_bof.types import (
     Intrinsics,
     Keyframe,
     Loop,
+    OdometryState,
     SavedConstellation,
     Scene,
     SubsampledDepth,
@@ -181,6 +183,10 @@ class MapReader(MapDatabase):
         """Return how a keyframe was described for the search, None if that was not saved."""
         rows = self.rows("constellations", "WHERE keyframe_id = ?", keyframe_id)
         return decode_constellation(rows[0]) if rows else None
+
+    def odometry(self, session_id: int) -> OdometryState | None:
+        """Return the newest saved state of a session's odometry, None if there is none."""
+        return decode_odometry(self.rows("odometry", "WHERE session = ? ORDER BY name", session_id))
 
     def loops(self) -> list[Loop]:
         """Return all loops and covisibility edges of the graph, in the order they entered it."""

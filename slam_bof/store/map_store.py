@@ -20,6 +20,7 @@ from slam_bof.store.row_codec import (
     INSERT_CONSTELLATION,
     INSERT_FRAME,
     INSERT_KEYFRAME,
+    INSERT_ODOMETRY,
     INSERT_REGION,
     INSERT_VIEW,
     encode_candidate,
@@ -27,6 +28,7 @@ from slam_bof.store.row_codec import (
     encode_edge,
     encode_frame,
     encode_keyframe,
+    encode_odometry,
     encode_pose,
     encode_region,
     encode_scene,
@@ -40,6 +42,7 @@ from slam_bof.types import (
     FramePose,
     KeyframeRecord,
     Loop,
+    OdometryState,
     Scene,
 )
 
@@ -84,8 +87,11 @@ class MapStore(MapReader):
             )
             update_checksums(db, "sessions", "id = ?", session.id)
 
-    def write(self, record: KeyframeRecord) -> None:
+    def write(self, record: KeyframeRecord, odometry: OdometryState | None = None) -> None:
         """Save a keyframe's record in one transaction: all of it or, on an error, nothing.
+
+        ``odometry`` replaces the saved state of the odometry; without it, that of an earlier
+        keyframe stays.
 
         Raises
         ------
@@ -120,6 +126,10 @@ class MapStore(MapReader):
                 (json.dumps(record.state), keyframe.session),
             )
             update_checksums(db, "sessions", "id = ?", keyframe.session)
+            if odometry is not None:
+                db.execute("DELETE FROM odometry")
+                db.executemany(INSERT_ODOMETRY, encode_odometry(keyframe.session, odometry))
+                update_checksums(db, "odometry")
 
     def finish(self, session_id: int, result: SessionResult) -> None:
         """Save the result of a session for the whole map, in one transaction."""

@@ -9,7 +9,7 @@ from typing import Self
 
 from slam_bof.errors import MapError
 from slam_bof.store.map_store import MapStore
-from slam_bof.types import KeyframeRecord
+from slam_bof.types import KeyframeRecord, OdometryState
 
 __all__ = ["MapWriter"]
 
@@ -19,6 +19,7 @@ class _Saving:
     """The newest keyframe, and whether it is saved."""
 
     record: KeyframeRecord
+    odometry: OdometryState | None
     is_saved: bool = False
 
 
@@ -42,8 +43,8 @@ class MapWriter:
         self._last: Future[None] | None = None
         self._process_id = os.getpid()
 
-    def write(self, record: KeyframeRecord) -> None:
-        """Start saving a keyframe, once the keyframe before it is saved.
+    def write(self, record: KeyframeRecord, odometry: OdometryState | None = None) -> None:
+        """Start saving a keyframe, once the keyframe before it is saved; see ``MapStore.write``.
 
         The same record may come again, and is saved once.
 
@@ -55,7 +56,7 @@ class MapWriter:
         """
         self.wait()
         if self._newest is None or self._newest.record is not record:
-            self._newest = _Saving(record)
+            self._newest = _Saving(record, odometry)
             self._last = self._thread.submit(self._save, self._newest)
 
     def wait(self) -> None:
@@ -73,7 +74,7 @@ class MapWriter:
 
     def _save(self, saving: _Saving) -> None:
         if not saving.is_saved:
-            self._store.write(saving.record)
+            self._store.write(saving.record, saving.odometry)
             saving.is_saved = True
 
     def _is_forked(self) -> bool:

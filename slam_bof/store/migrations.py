@@ -11,6 +11,7 @@ from slam_bof.store.schema import (
     CONSTELLATIONS_TABLE,
     CULLED_TABLE,
     KEY_COLUMNS,
+    ODOMETRY_TABLE,
     POSE_COLUMNS,
     SCHEMA_VERSION,
     SMOOTHED_COLUMNS,
@@ -34,8 +35,11 @@ CREATE TABLE regions (
 """
 
 _OLD = ("keyframes", "candidates", "regions", "parameters", "loops")
-_TABLES_5 = tuple(name for name in KEY_COLUMNS if name != "constellations")
+_TABLES_6 = tuple(name for name in KEY_COLUMNS if name != "odometry")
+_TABLES_5 = tuple(name for name in _TABLES_6 if name != "constellations")
 _TABLES_4 = tuple(name for name in _TABLES_5 if name != "culled")
+_ADDED = ((5, CULLED_TABLE), (6, CONSTELLATIONS_TABLE), (7, ODOMETRY_TABLE))
+"""Tables by the version that added them."""
 _OLD_VIEWS = ("keyframe_labels", "loop_audit")
 
 _TO_4 = f"""
@@ -72,7 +76,7 @@ DROP TABLE old_keyframes; DROP TABLE old_parameters;
 {VIEWS}
 """
 
-MIGRATABLE_VERSIONS = (2, 3, 4, 5)
+MIGRATABLE_VERSIONS = (2, 3, 4, 5, 6)
 """Older schema versions that can be migrated."""
 
 
@@ -90,7 +94,7 @@ def migrate(
         If it has triggers or other additions, or, with ``in_place``, is damaged.
     """
     views = (*_OLD_VIEWS, "loops") if version >= 4 else _OLD_VIEWS
-    tables = {4: _TABLES_4, 5: _TABLES_5}.get(version, _OLD)
+    tables = {4: _TABLES_4, 5: _TABLES_5, 6: _TABLES_6}.get(version, _OLD)
     expected = {("table", name) for name in tables} | {("view", name) for name in views}
     statements = db.execute(STATEMENTS).fetchall()
     if added := find_additions(expected, map(tuple, statements)):
@@ -105,8 +109,8 @@ def migrate(
     db.execute("PRAGMA legacy_alter_table = ON")
     try:
         if version >= 4:
-            culled = CULLED_TABLE if version == 4 else ""
-            db.executescript("BEGIN;" + culled + CONSTELLATIONS_TABLE)
+            tables_added = (table for since, table in _ADDED if since > version)
+            db.executescript("BEGIN;" + "".join(tables_added))
         else:
             _migrate_to_4(db, version, path, in_place=in_place)
         db.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")

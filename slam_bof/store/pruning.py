@@ -128,6 +128,7 @@ def drop_keyframes(db: sqlite3.Connection, dropped: Collection[int]) -> None:
     )
     for table in ("views", "constellations"):
         db.execute(f"DELETE FROM {table} WHERE keyframe_id NOT IN {known}")
+    db.execute("DELETE FROM odometry")
     db.execute("DELETE FROM keyframes WHERE id IN gone")
     db.execute("DELETE FROM frames WHERE session NOT IN (SELECT session FROM keyframes)")
     db.execute("DROP TABLE gone")

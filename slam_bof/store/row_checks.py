@@ -19,12 +19,13 @@ from typing import Any
 import numpy as np
 
 from slam_bof.bof import CONTOUR_BYTES
+from slam_bof.core import parse_npy
 from slam_bof.geometry import se3
 from slam_bof.store.schema import POSE_COLUMNS, SMOOTHED_COLUMNS, TABLES
 from slam_bof.store.sqlite import is_intact
 from slam_bof.types import CandidateSource, Decision, EdgeKind, Intrinsics
 
-__all__ = ["CHECKSUM_DIFFERS", "POSE_BYTES", "find_fault"]
+__all__ = ["CHECKSUM_DIFFERS", "POSE_BYTES", "SKIPPED", "STATE", "find_fault"]
 
 CHECKSUM_DIFFERS = "differs from what was written (checksum)"
 DIRECTION, POSE, MATRIX = struct.Struct("<3d"), struct.Struct("<12d"), struct.Struct("<36d")
@@ -41,6 +42,9 @@ MAX_PATH = 4096
 """Characters of the path of a run's sequence."""
 SUM_TOLERANCE = 1e-3
 """Largest deviation of a sum of probabilities, or of the square of a quaternion, from 1."""
+
+SKIPPED, STATE = "skipped", "state/"
+"""Names of rows of ``odometry``."""
 
 EDGE_COLUMNS = (*POSE_COLUMNS, "information")
 ODOM_COLUMNS, MAP_COLUMNS = (
@@ -195,6 +199,19 @@ def _check_culled(row: Row) -> None:
     _expect(0 <= anchor < keyframe < culled_by, "anchor_id")
 
 
+def _check_odometry(row: Row) -> None:
+    name, session, frame_index, value = row[:4]
+    _expect(name == SKIPPED or name.startswith(STATE), "name")
+    _expect(0 <= session < MAX_SESSIONS and frame_index >= 0, "frame_index")
+    try:
+        array = parse_npy(value)
+    except ValueError:
+        raise _Fault("has no plausible value") from None
+    _expect(array.dtype.kind in "biuf", "value")
+    if name == SKIPPED:
+        _expect(array.dtype == np.int64 and array.ndim == 1, "value")
+
+
 def _check_region(row: Row) -> None:
     id_, n_keyframes, probability = _pick("regions", "id", "n_keyframes", "probability")(row)
     _check_probability(probability, "probability")
@@ -242,6 +259,7 @@ CHECKS: dict[str, Callable[[Row], None]] = {
     "frames": _check_frame,
     "candidates": _check_candidate,
     "culled": _check_culled,
+    "odometry": _check_odometry,
     "regions": _check_region,
     "parameters": _check_parameter,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import struct
 from collections.abc import Sequence
@@ -12,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from slam_bof.core import decode_image
+from slam_bof.core import decode_image, parse_npy
 from slam_bof.geometry import se3, view_stride
 from slam_bof.scenes import MapRoom
-from slam_bof.store.row_checks import POSE_BYTES
+from slam_bof.store.row_checks import POSE_BYTES, SKIPPED, STATE
 from slam_bof.store.schema import BOX_COLUMNS, POSE_COLUMNS, SMOOTHED_COLUMNS
 from slam_bof.types import (
     Bag,
@@ -27,6 +28,7 @@ from slam_bof.types import (
     Intrinsics,
     Keyframe,
     Loop,
+    OdometryState,
     Pose,
     SavedConstellation,
     Scene,
@@ -38,6 +40,7 @@ __all__ = [
     "INSERT_CONSTELLATION",
     "INSERT_FRAME",
     "INSERT_KEYFRAME",
+    "INSERT_ODOMETRY",
     "INSERT_REGION",
     "INSERT_VIEW",
     "decode_candidate",
@@ -45,6 +48,7 @@ __all__ = [
     "decode_frame",
     "decode_keyframe",
     "decode_loop",
+    "decode_odometry",
     "decode_pose",
     "decode_region",
     "decode_scene",
@@ -55,6 +59,7 @@ __all__ = [
     "encode_edge",
     "encode_frame",
     "encode_keyframe",
+    "encode_odometry",
     "encode_pose",
     "encode_region",
     "encode_scene",
@@ -93,6 +98,7 @@ INSERT_FRAME = _insert(
     ],
 )
 INSERT_CANDIDATE = _insert("candidates", [*CANDIDATE_COLUMNS, *EDGE_COLUMNS])
+INSERT_ODOMETRY = _insert("odometry", ["name", "session", "frame_index", "value"])
 INSERT_REGION = _insert("regions", ["id", "label", "probability", "n_keyframes", *BOX_COLUMNS])
 
 
@@ -224,6 +230,23 @@ def decode_frame(row: Any) -> FramePose:
     )
 
 
+def encode_odometry(session: int, state: OdometryState) -> list[Row]:
+    """Return the values of ``INSERT_ODOMETRY``, a row for each array."""
+    arrays = {SKIPPED: state.skipped} | {STATE + name: a for name, a in state.arrays.items()}
+    at = (int(session), int(state.frame_index))
+    return [(name, *at, _to_npy(array)) for name, array in arrays.items()]
+
+
+def decode_odometry(rows: Sequence[Any]) -> OdometryState | None:
+    """Return the state in the rows of a session; None if there are none, or not of one frame."""
+    arrays = {row["name"]: parse_npy(row["value"]) for row in rows}
+    skipped = arrays.pop(SKIPPED, None)
+    at = {row["frame_index"] for row in rows}
+    if skipped is None or len(at) != 1:
+        return None
+    return OdometryState(at.pop(), skipped, {n.removeprefix(STATE): a for n, a in arrays.items()})
+
+
 def encode_candidate(candidate: Candidate, edge: Row) -> Row:
     """Return the values of ``INSERT_CANDIDATE``; SQLite stores NaN as null."""
     values = (getattr(candidate, name) for name in CANDIDATE_COLUMNS)
@@ -283,6 +306,12 @@ def _scene(row: Any, columns: Sequence[str], classes: tuple[str, ...]) -> Scene 
 
 def _to_blob(values: ArrayLike, dtype: str) -> bytes:
     return np.asarray(values).astype(dtype).tobytes()
+
+
+def _to_npy(array: NDArray[Any]) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array, allow_pickle=False)
+    return file.getvalue()
 
 
 def _from_blob(blob: bytes, dtype: str) -> NDArray[Any]:

@@ -45,6 +45,11 @@ table           columns
 ``culled``      The keyframes that the map no longer searches, because others show the same:
                 ``keyframe_id``; ``anchor_id``, the keyframe that its pose is fixed to;
                 ``culled_by``, the newest keyframe at that time.
+``odometry``    The state of the odometry after a recent keyframe of the newest session, to resume
+                without repeating it; empty if the odometry cannot save it: ``name``;
+                ``session`` and ``frame_index`` of the keyframe; ``value``, an array as a .npy file:
+                ``skipped``, the indices of unusable frames of the data set before, or
+                ``state/...``, an array of the odometry.
 ``regions``     Rooms: ``id``, ``label``, ``probability``, ``n_keyframes``; ``center_*``,
                 ``low_*`` and ``high_*`` of the camera positions, in metres, in the map frame.
 ``parameters``  ``key`` and ``value``: ``classes``, the scene labels as a JSON list; ``camera``;
@@ -65,13 +70,14 @@ __all__ = [
     "CONSTELLATIONS_TABLE",
     "CULLED_TABLE",
     "KEY_COLUMNS",
+    "ODOMETRY_TABLE",
     "POSE_COLUMNS",
     "SCHEMA",
     "SCHEMA_VERSION",
     "SMOOTHED_COLUMNS",
 ]
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 APPLICATION_ID = 0x424F464D
 """Marks a database as a map of slam_bof ("BOFM")."""
 
@@ -96,6 +102,7 @@ KEY_COLUMNS = {
     "frames": "id",
     "candidates": "id",
     "culled": "keyframe_id",
+    "odometry": "name",
     "regions": "id",
     "parameters": "key",
 }
@@ -122,6 +129,17 @@ CREATE TABLE constellations (
 );
 """
 """Added with version 6."""
+
+ODOMETRY_TABLE = """
+CREATE TABLE odometry (
+    name TEXT PRIMARY KEY,
+    session INTEGER NOT NULL REFERENCES sessions (id),
+    frame_index INTEGER NOT NULL,
+    value BLOB NOT NULL,
+    crc INTEGER
+);
+"""
+"""Added with version 7."""
 
 TABLES = f"""
 CREATE TABLE parameters (key TEXT PRIMARY KEY, value TEXT NOT NULL, crc INTEGER);
@@ -207,6 +225,7 @@ CREATE TABLE regions (
 );
 {CULLED_TABLE}
 {CONSTELLATIONS_TABLE}
+{ODOMETRY_TABLE}
 """
 
 VIEWS = f"""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from slam_bof.geometry import se3
-from slam_bof.ports import Odometry
+from slam_bof.ports import Odometry, ResumableOdometry
 from slam_bof.testing.scenery import blind, example_frames, expect, expect_rigid
 from slam_bof.types import Array, DepthFrame
 
@@ -25,7 +25,8 @@ def check_odometry(
 
     Poses are rotations and translations; the first is the identity; the same frames give the
     same bytes, from another instance and after ``reset``; frames and poses handed out are left
-    alone; frames that show nothing, at the beginning or in between, do no harm.
+    alone; frames that show nothing, at the beginning or in between, do no harm. One with ``state``
+    and ``restore`` continues from a saved state with the same bytes.
 
     Parameters
     ----------
@@ -63,6 +64,8 @@ def check_odometry(
     expect(poses.tobytes() == again.tobytes(), "after reset the same frames must give the same")
     _check_error(poses, truth, max_error_m, "")
     _check_blindness(make, frames, truth, max_error_m)
+    if isinstance(odometry, ResumableOdometry):
+        _check_state(make, frames, poses)
 
 
 def _check_blindness(
@@ -84,6 +87,35 @@ def _check_blindness(
             )
     nothing = [blind(frame)[0] for frame in frames[:4]]
     _track(make(), nothing)
+
+
+def _check_state(make: Callable[[], Odometry], frames: Sequence[DepthFrame], poses: Array) -> None:
+    """Check that a saved state can be continued, whatever became of the odometry it is of."""
+    for n in (0, 1, len(frames) // 2):
+        before, after = make(), make()
+        assert isinstance(before, ResumableOdometry)
+        assert isinstance(after, ResumableOdometry)
+        _track(before, frames[:n])
+        state = before.state()
+        expect(
+            all(isinstance(array, np.ndarray) and array.dtype.kind in "biuf"
+                for array in state.values()),
+            "state must return arrays of numbers by name",
+        )  # fmt: skip
+        state = {name: array.copy() for name, array in state.items()}
+        _track(before, frames[n : n + 2])
+        _track(after, frames[-2:])
+        after.restore(state)
+        expect(
+            _track(after, frames[n:]).tobytes() == poses[n:].tobytes(),
+            f"restored to a state after {n} frames, it must give the same poses to the byte",
+        )
+        for name in state:
+            try:
+                after.restore({key: array for key, array in state.items() if key != name})
+            except ValueError:
+                continue
+            expect(False, f"restore must raise ValueError for a state without {name}")
 
 
 def _track(odometry: Odometry, frames: Sequence[DepthFrame], *, spoil: bool = False) -> Array:

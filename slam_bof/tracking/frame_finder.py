@@ -50,6 +50,8 @@ class RecentPoses:
 class _Registration(NamedTuple):
     """A pose of the frame, and how far it agrees with a view."""
 
+    view_id: int
+    T_view_frame: Pose
     T_odom_frame: Pose
     agreement: float
     """Share of inliers among the points that can be compared."""
@@ -190,12 +192,16 @@ class FrameFinder:
         )
 
     def _is_good(self, registration: _Registration) -> bool:
+        """Return whether it agrees well enough for a pose that had to be searched for."""
         p = self.params
-        return (
-            registration.visible_ratio >= p.min_visible_ratio_relocalised
-            and registration.agreement
-            >= self._reference_inlier_ratio - p.max_inlier_drop_relocalised
-        )
+        if (
+            registration.visible_ratio < p.min_visible_ratio_relocalised
+            or registration.agreement < self._reference_inlier_ratio - p.max_inlier_drop_relocalised
+        ):
+            return False
+        # A wrong pose among walls at right angles may have the inliers, but is less exact.
+        score = self._score(registration.view_id, registration.T_view_frame)
+        return not score < self._reference_score - p.max_score_drop_relocalised
 
     def _is_contradicted(self, T_guess: Pose, recent: RecentPoses, *, leaps: bool) -> bool:
         """Return whether a view contradicts odometry, or odometry leaps out of what both see."""
@@ -271,6 +277,8 @@ class FrameFinder:
         found = self._aligner.agreement(FRAME, np.array([view_id]), T_view_frame[None])
         inlier_ratio, visible_ratio = float(found.inlier_ratio[0]), float(found.visible_ratio[0])
         return _Registration(
+            view_id,
+            T_view_frame,
             T_odom_view @ T_view_frame,
             inlier_ratio / max(visible_ratio, 1e-9),
             visible_ratio,

@@ -64,6 +64,12 @@ class TrackingParams(Params):
         description="Largest drop of the agreement score below its running mean at which no other "
         "starts are tried.",
     )
+    max_score_drop_relocalised: float = Field(
+        0.2,
+        ge=0,
+        description="Largest drop of the agreement score below its running mean for a frame whose "
+        "pose had to be searched for.",
+    )
     max_free_space_violation: float = Field(
         0.1,
         ge=0,

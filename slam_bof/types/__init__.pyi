@@ -15,6 +15,7 @@ from .features import (
 from .keyframes import (
     Keyframe as Keyframe,
     KeyframeRecord as KeyframeRecord,
+    OdometryState as OdometryState,
     Step as Step,
 )
 from .loops import (

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.types.depth import SubsampledDepth
 from slam_bof.types.features import Bag, SavedConstellation, Scene
 from slam_bof.types.loops import Candidate, Loop
 from slam_bof.types.poses import Array, FramePose, Pose
 
-__all__ = ["Keyframe", "KeyframeRecord", "Step"]
+__all__ = ["Keyframe", "KeyframeRecord", "OdometryState", "Step"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,6 +65,20 @@ class KeyframeRecord:
     state: dict[str, Any]
     culled: tuple[tuple[int, int], ...] = ()
     constellation: SavedConstellation | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OdometryState:
+    """The state of an odometry after a keyframe, to resume the run without repeating it.
+
+    ``frame_index`` is that of the keyframe, ``skipped`` (n,) are the indices of frames of the data
+    set before it that could not be used, and ``arrays`` are what ``ResumableOdometry.state``
+    returned.
+    """
+
+    frame_index: int
+    skipped: NDArray[np.int64]
+    arrays: Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

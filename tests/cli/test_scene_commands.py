@@ -54,6 +54,28 @@ def test_train_writes_a_model_and_prints_its_accuracy(boxes: Path, tmp_path: Pat
     assert list(out.parent.iterdir()) == [out]
 
 
+def train(boxes: Path, out: Path, *options: object) -> bytes:
+    result = slam_bof("train", *labels(boxes), "-o", out, *BAGS, *QUICK, "--no-check", *options)
+    assert result.exit_code == 0, result.output
+    return out.read_bytes()
+
+
+def test_the_model_does_not_depend_on_the_number_of_jobs(boxes: Path, tmp_path: Path) -> None:
+    one, two = (train(boxes, tmp_path / f"{n}.bof", "--jobs", n) for n in (1, 2))
+    assert one == two
+
+
+def test_frames_are_described_on_a_cluster(boxes: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs the extra dask")
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
+    with distributed.LocalCluster(**options) as cluster:
+        there = train(boxes, tmp_path / "there.bof", "--scheduler", cluster.scheduler_address)
+    assert there == train(boxes, tmp_path / "here.bof")
+    words = ("train", "--unlabelled", boxes / "hall", "-o", tmp_path / "words.bof", *QUICK)
+    assert "found no scheduler" in refusal(*words, "--scheduler", "tcp://127.0.0.1:1")
+    assert not (tmp_path / "words.bof").exists()
+
+
 def test_train_searches_and_prints(boxes: Path, tmp_path: Path) -> None:
     out = tmp_path / "boxes.bof"
     page = tmp_path / "check"

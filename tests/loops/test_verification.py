@@ -46,13 +46,13 @@ class CentroidVerifier:
         )
 
 
-def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND, components=None):
+def verify(verifier, candidate, *, shift_m=0.0, params=ALONE, T_map_camera=STAND, **where):
     verification = LoopVerification(verifier, params)
     points = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 3.0]])
     for offset_m in (0.0, 0.0, shift_m):
         verification.add(UNSEEN, points + np.array([offset_m, 0.0, 0.0]))
     aligned = verification.align([candidate], T_map_camera)
-    found = verification.decide([candidate], aligned, T_map_camera, components=components)
+    found = verification.decide([candidate], aligned, T_map_camera, **where)
     return found.candidates[0], found.admitted
 
 
@@ -117,6 +117,20 @@ def test_a_long_way_round_allows_for_more_drift():
     far[1, :3, 3] = [0.0, 0.0, 5.0]
     judged, _ = verify(CentroidVerifier(), candidate(), shift_m=0.9, T_map_camera=far)
     assert judged.decision == "accepted"
+
+
+def test_where_a_loop_has_closed_the_circle_a_long_path_allows_for_no_more_drift():
+    far = STAND.copy()
+    far[1, :3, 3] = [0.0, 0.0, 5.0]
+    for path_m, decision in ((10.0, "accepted"), (5.0, "rejected")):
+        judged, _ = verify(
+            CentroidVerifier(),
+            candidate(),
+            shift_m=0.9,
+            T_map_camera=far,
+            path_m=np.array([path_m, 5.0, 0.0]),
+        )
+        assert judged.decision == decision
 
 
 def test_the_gap_between_parts_of_the_map_is_no_way_round():

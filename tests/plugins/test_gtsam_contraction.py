@@ -99,6 +99,19 @@ def test_wrong_loops_are_left_out_of_a_contracted_graph_too(twice_round):
     assert error_m(backend.poses()[:N], truth[:N]) < 0.1
 
 
+def test_an_edge_that_the_map_contradicts_hardly_counts_beside_another(twice_round):
+    backend, truth, _ = twice_round
+    backend.add_loop(loop(truth, N + 4, 9, wrong=se3.pose(np.eye(3), [0.3, 0.0, 0.2])))
+    backend.add_loop(loop(truth, N + 4, 9))
+    backend.update()
+    contracted(backend)
+    weights = backend.optimize()
+    assert len(weights) == N + 3
+    edges = {edge[:2]: edge.measured.matrix() for edge, _ in backend._settled}
+    true = se3.inverse(truth[9]) @ truth[4]
+    assert np.linalg.norm((edges[9, 4] - true)[:3, 3]) < 0.02
+
+
 def contraction(gone):
     return Contraction(gone, [], max_edges=10, max_trace=1e9)
 

@@ -76,6 +76,20 @@ def test_frames_are_described_in_order_and_reported():
     assert described.groups == ("room-0",) * 4 + ("room-1",)
 
 
+def test_frames_described_two_at_a_time_are_the_same():
+    one, two = (
+        describe_frames(frames(n=5), PARAMS, levelled=True, n_copies=1, n_jobs=n) for n in (1, 2)
+    )
+    np.testing.assert_array_equal(one.values, two.values)
+    assert (one.labels, one.groups) == (two.labels, two.groups)
+    for of_one, of_two in zip(one.levelled, two.levelled, strict=True):
+        np.testing.assert_array_equal(of_one.profile, of_two.profile)
+        np.testing.assert_array_equal(of_one.shapes, of_two.shapes)
+    for (of_one,), (of_two,) in zip(one.copies, two.copies, strict=True):
+        np.testing.assert_array_equal(of_one.profile, of_two.profile)
+    assert one.copies[0][0].profile.tobytes() != one.levelled[0].profile.tobytes()
+
+
 def test_of_some_frames_all_is_kept():
     described = describe_frames(frames(n=6), PARAMS, levelled=True)
     some = described.select([4, 1])

@@ -212,7 +212,10 @@ N_DUE = 2 * N_ROUND - 9
         ({"n_views": 2}, 0),  # the third round is not due
         ({"n_views": 1, "same_m": 0.002}, 0),
         ({"n_views": 1, "same_rad": 0.002}, 0),
-        ({"n_views": 1, "every": 4}, 0),
+        ({"n_views": 1, "every": 19}, N_DUE),
+        ({"n_views": 1, "every": 20}, 0),
+        ({"n_views": 9, "large": 27, "n_views_large": 1}, N_DUE),
+        ({"n_views": 9, "large": 28, "n_views_large": 1}, 0),
         ({"n_views": 2, "same_rad": 0.3}, N_DUE),
     ],
 )
@@ -232,18 +235,45 @@ def test_the_choice_follows_its_parameters(params, n_culled):
     np.testing.assert_allclose(graph.poses(), poses_of_rounds(), atol=1e-3)
 
 
-def test_what_waits_is_decided_later_and_what_the_map_contradicts_is_kept():
-    graph = known_graph(slip_m=0.3)
-    params = MapParams(n_views=1, every=1)
+def test_the_larger_the_map_the_rarer_the_choice():
+    """Of 27 keyframes in use, an eighth has to be due beside those in the window."""
+    graph = known_graph()
+    culling = KeyframeCulling(
+        MapParams(n_views=1, every=1), window=8, max_distance_m=0.1, max_angle_rad=0.06
+    )
+    culling.undecided = list(range(17, 27))
+    assert culling.choose(graph, waiting=()) == {}
+    culling.undecided = list(range(16, 27))
+    assert set(culling.choose(graph, waiting=())) == {16, 17}
+
+
+def culling_of(n_views):
+    params = MapParams(n_views=n_views, every=1)
     culling = KeyframeCulling(params, window=1, max_distance_m=0.1, max_angle_rad=0.06)
     culling.undecided = list(range(N_ROUND, 3 * N_ROUND))
-    waiting, slipped = N_ROUND + 2, 2 * N_ROUND + 4
-    anchors = culling.choose(graph, waiting={waiting})
-    assert {waiting - 1, slipped - 1} <= set(anchors)
+    return culling
+
+
+def test_what_waits_is_decided_later():
+    culling, waiting = culling_of(n_views=1), N_ROUND + 2
+    anchors = culling.choose(known_graph(), waiting={waiting})
+    assert waiting - 1 in anchors
     assert waiting not in anchors
     assert waiting in culling.undecided
+
+
+def test_what_the_map_contradicts_is_kept_unless_twice_as_many_show_the_same():
+    graph, slipped = known_graph(slip_m=0.3), 2 * N_ROUND + 4
+    culling = culling_of(n_views=2)
+    anchors = culling.choose(graph, waiting=())
+    assert slipped - 1 in anchors
     assert slipped not in anchors
     assert slipped not in culling.undecided
+    culling = culling_of(n_views=1)
+    culling.undecided = [slipped - 1, slipped, *range(slipped + 1, 3 * N_ROUND)]
+    anchors = culling.choose(graph, waiting=())
+    assert anchors[slipped - 1] in (3, N_ROUND + 3)
+    assert anchors[slipped] == N_ROUND + 4  # its loop to the other, 4, is the one that is off
 
 
 @pytest.mark.parametrize(

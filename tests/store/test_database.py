@@ -131,19 +131,21 @@ def test_an_older_map_is_upgraded(path: Path, version: int, read_only: bool) -> 
     [
         "DROP TABLE constellations; DROP TABLE culled; PRAGMA user_version = 4",
         "DROP TABLE constellations; PRAGMA user_version = 5",
+        "DELETE FROM constellations; PRAGMA user_version = 6",
     ],
 )
-def test_a_map_of_version_4_or_5_is_upgraded_and_whole(
+def test_a_map_of_version_4_to_6_is_upgraded_and_whole(
     filled: MapStore, downgrade: str, read_only: bool
 ) -> None:
     filled.close()
     db = sqlite3.connect(filled.path)
-    db.executescript(downgrade)
+    db.executescript("DROP TABLE odometry;" + downgrade)
     db.close()
     with MapStore.open(filled.path, read_only=read_only) as store:
         assert [record.constellation for record in replay_keyframes(store)] == [None] * 6
         assert store.anchors().tolist() == list(range(6))
         assert len(store.loops()) == 1
+        assert store.odometry(0) is None
     if not read_only:
         assert check_map(filled.path) == []
 
@@ -153,7 +155,7 @@ def test_another_version_is_named(path: Path) -> None:
     db = sqlite3.connect(path)
     db.execute(f"PRAGMA user_version = {SCHEMA_VERSION + 1}")
     db.close()
-    with pytest.raises(MapError, match="found map version 7, expected one of 2, 3, 4, 5, 6"):
+    with pytest.raises(MapError, match="found map version 8, expected one of 2, 3, 4, 5, 6, 7"):
         MapStore.open(path)
 
 

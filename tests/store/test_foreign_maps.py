@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import sqlite3
 import sys
@@ -13,7 +14,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from old_maps import write_old_map
-from saved_maps import CAMERA, make_candidate, make_keyframe, make_loop, save
+from saved_maps import (
+    CAMERA,
+    make_candidate,
+    make_keyframe,
+    make_loop,
+    make_odometry,
+    make_record,
+    save,
+)
 
 from slam_bof.errors import MapError
 from slam_bof.maps import merge_maps
@@ -43,9 +52,10 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     room = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
     with MapStore.create(path) as store:
         store.set_parameters({"model": "a1b2", "units_per_m": 1000.0, "source": SOURCE})
-        for id_ in range(6):
-            found = ([make_candidate(5, 0)], [make_loop(5, 0)]) if id_ == 5 else ((), ())
-            save(store, make_keyframe(id_), *found)
+        for id_ in range(5):
+            save(store, make_keyframe(id_))
+        last = make_record(make_keyframe(5), [make_candidate(5, 0)], [make_loop(5, 0)])
+        store.write(last, make_odometry(20))
         keyframes = store.keyframes()
         poses = np.array([keyframe.T_odom_camera for keyframe in keyframes])
         store.finish(0, SessionResult([], poses, [k.scene for k in keyframes], [room]))
@@ -80,6 +90,7 @@ def read_everything(path: Path) -> None:
         query_rooms(store)
         for session in store.sessions():
             store.frames(session.id)
+            store.odometry(session.id)
         assert store.intrinsics() is not None
         for _ in replay_keyframes(store):
             pass
@@ -87,6 +98,12 @@ def read_everything(path: Path) -> None:
 
 def blob(numbers: object, dtype: str = "<f8") -> bytes:
     return np.asarray(numbers, dtype).tobytes()
+
+
+def npy(array: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.save(file, array)
+    return file.getvalue()
 
 
 CAMERA_JSON = json.dumps(asdict(CAMERA))
@@ -115,6 +132,11 @@ IMPLAUSIBLE: list[tuple[str, object]] = [
     ("constellations SET weight = ?", -6.0),
     ("constellations SET weight = ?", 1e38),
     ("constellations SET describer = ?", b"0a1b"),
+    ("odometry SET name = ? WHERE name = 'skipped'", "spare"),
+    ("odometry SET frame_index = ?", -1),
+    ("odometry SET value = ?", b"no array"),
+    ("odometry SET value = ? WHERE name = 'skipped'", npy(np.array([1.0, 3.0]))),
+    ("odometry SET value = ? WHERE name = 'state/n'", npy(np.array(["a"]))),
     ("frames SET T_odom_raw = ?", blob(np.full((3, 4), np.nan))),
     ("frames SET T_odom_camera = ?", blob(np.zeros((3, 4)))),
     ("frames SET T_odom_camera = ?", blob([1.0])),

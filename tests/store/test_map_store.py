@@ -14,6 +14,7 @@ from saved_maps import (
     make_constellation,
     make_keyframe,
     make_loop,
+    make_odometry,
     make_record,
     make_subsampled,
     save,
@@ -152,6 +153,32 @@ def test_constellations_go_with_their_keyframes_when_a_map_is_pruned(filled: Map
         found = [store.constellation(id_) for id_ in range(4)]
         assert store.constellation(4) is None
     same_constellations(found, [make_constellation(id_) for id_ in (0, 2, 4, 5)])
+    assert check_map(filled.path) == []
+
+
+def test_the_newest_state_of_the_odometry_comes_back_to_the_bit(filled: MapStore) -> None:
+    assert filled.odometry(0) is None
+    for id_, state in ((6, make_odometry(24)), (7, make_odometry(28)), (8, None)):
+        filled.write(make_record(make_keyframe(id_)), state)
+    found = filled.odometry(0)
+    assert found is not None
+    assert found.frame_index == 28
+    assert found.skipped.tolist() == [1, 3]
+    assert found.arrays.keys() == {"points", "n"}
+    np.testing.assert_array_equal(found.arrays["points"], make_odometry(28).arrays["points"])
+    assert found.arrays["n"] == 7
+    assert check_map(filled.path) == []
+
+
+def test_the_state_of_the_odometry_goes_when_a_map_is_pruned(filled: MapStore) -> None:
+    filled.write(make_record(make_keyframe(6)), make_odometry(24))
+    keyframes = filled.keyframes()
+    poses = np.array([keyframe.T_odom_camera for keyframe in keyframes])
+    filled.finish(0, SessionResult([], poses, [k.smoothed for k in keyframes], []))
+    filled.close()
+    assert prune_map(filled.path, lambda store: [1, 3]) == 2
+    with MapStore.open(filled.path) as store:
+        assert store.odometry(0) is None
     assert check_map(filled.path) == []
 
 

@@ -5,7 +5,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from saved_maps import make_keyframe, make_record
+from saved_maps import make_keyframe, make_odometry, make_record
 
 from slam_bof.errors import MapError
 from slam_bof.store import MapStore, MapWriter, Session
@@ -31,11 +31,11 @@ def failing(store, n_times):
     """Let the next writes fail, as on a full disk."""
     write, left = store.write, [n_times]
 
-    def fail(record):
+    def fail(record, odometry):
         if left[0]:
             left[0] -= 1
             raise MapError("map.db: cannot be written: the disk is full")
-        write(record)
+        write(record, odometry)
 
     store.write = fail
     yield
@@ -45,8 +45,10 @@ def failing(store, n_times):
 def test_a_keyframe_that_failed_once_is_saved_with_the_next(store):
     with MapWriter(store) as writer, failing(store, 1):
         for record in records(3):
-            writer.write(record)
+            is_first = record.keyframe.id == 0
+            writer.write(record, make_odometry(0) if is_first else None)
     assert saved_ids(store) == [0, 1, 2]
+    assert store.odometry(0).frame_index == 0
 
 
 def test_one_that_failed_again_is_reported_and_kept(store):
