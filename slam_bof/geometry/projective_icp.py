@@ -172,6 +172,8 @@ class ViewAligner:
         """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
 
         Pairs that have come to rest wait for the last iterations, whose gates are the narrowest.
+        Starts are rounded to single precision: those that differ in the last digits, as in a map
+        that was loaded again, end at the same pose.
         """
         p = self.params
         fine = np.arange(p.n_iterations) >= p.n_iterations - p.n_fine_iterations
@@ -179,7 +181,7 @@ class ViewAligner:
             self._views.arrays(),
             self._views.rows(matches),
             *self._views.surface(query),
-            np.ascontiguousarray(T_match_query, np.float64),
+            se3.nearest_pose(T_match_query.astype(np.float32)),
             np.geomspace(*p.gates_m, p.n_iterations),
             np.where(fine, p.n_points, min(p.n_points, p.n_coarse_points)),
             p.min_step,
