@@ -32,6 +32,7 @@ from slam_bof.types import (
     Array,
     Candidate,
     DepthFrame,
+    EdgeKind,
     FramePose,
     Intrinsics,
     Keyframe,
@@ -71,6 +72,7 @@ class MapReader(MapDatabase):
     """Reads the keyframes, frames, loops, candidates, rooms and parameters of a map."""
 
     _classes: tuple[str, ...] | None = None
+    _camera: Intrinsics | None = None
     is_checked: bool = False
     """Whether all rows of the present snapshot were checked, so that readers need not do it."""
 
@@ -87,8 +89,10 @@ class MapReader(MapDatabase):
 
     def intrinsics(self) -> Intrinsics | None:
         """Return the depth camera that the map was made with, for full images, if known."""
-        camera = self.parameters().get("camera")
-        return None if camera is None else Intrinsics(**json.loads(camera))
+        if self._camera is None:  # once known, it stays
+            camera = self.parameters().get("camera")
+            self._camera = None if camera is None else Intrinsics(**json.loads(camera))
+        return self._camera
 
     def sessions(self) -> list[Session]:
         """Return the sessions of the map, in order."""
@@ -186,10 +190,10 @@ class MapReader(MapDatabase):
         """Return all loops and covisibility edges of the graph, in the order they entered it."""
         return [decode_loop(row) for row in self.loop_rows()]
 
-    def loop_rows(self) -> list[Any]:
-        """Return the rows of ``candidates`` that ``loops`` decodes."""
-        tail = "WHERE decision = 'accepted' AND loop_id IS NOT NULL ORDER BY loop_id"
-        return self.candidate_rows(tail)
+    def loop_rows(self, *, covisibility: bool = True) -> list[Any]:
+        """Return the rows of ``candidates`` that ``loops`` decodes, maybe without covisibility."""
+        tail = "WHERE decision = 'accepted' AND loop_id IS NOT NULL AND (? OR kind <> ?)"
+        return self.candidate_rows(f"{tail} ORDER BY loop_id", covisibility, EdgeKind.COVISIBILITY)
 
     def candidates(self) -> list[Candidate]:
         """Return the audit trail, in the order it was written."""

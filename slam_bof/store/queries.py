@@ -125,8 +125,9 @@ def query_keyframes(
     """
     with store.snapshot():
         _check_scene(store, scene)
-        rows, loops = store.keyframe_rows(), store.loop_rows()
-        components = join_rows(rows, loops)
+        rows = store.keyframe_rows()
+        components = join_rows(store, rows)
+        loops = store.loop_rows(covisibility=False)
         n_loops = Counter(row["query_id"] for row in loops if row["kind"] == EdgeKind.LOOP)
         if keyframe_id is not None and not 0 <= keyframe_id < len(rows):
             raise MapError(
@@ -194,7 +195,7 @@ def query_loops(
     with store.snapshot():
         rows = store.candidate_rows(tail, keyframe_id, keyframe_id, considered)
         keyframes = store.keyframe_rows()
-        components = join_rows(keyframes, store.loop_rows())
+        components = join_rows(store, keyframes)
     stamps_s = [row["stamp_s"] for row in keyframes]
     names = ("query_id", "match_id", "source", "decision", "reason", "score", "overlap", "rmse_m")
     records: list[LoopInfo] = []
