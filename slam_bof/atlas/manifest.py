@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from slam_bof.core import describe_error
+from slam_bof.core import describe_error, open_bytes
 from slam_bof.errors import AtlasError
 
 __all__ = ["AtlasMap", "Manifest", "SegmentEntry", "read_manifest", "sync", "write_manifest"]
@@ -77,7 +77,7 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / FILE
     try:
-        with path.open("rb") as file:
+        with open_bytes(path) as file:
             text = file.read(MAX_BYTES + 1)
     except (FileNotFoundError, NotADirectoryError):
         raise AtlasError(

@@ -24,7 +24,6 @@ from slam_bof.store.row_codec import (
     decode_pose,
     decode_region,
     decode_scene,
-    decode_smoothed_scene,
     decode_view,
 )
 from slam_bof.store.schema import KEY_COLUMNS
@@ -138,14 +137,13 @@ class MapReader(MapDatabase):
     def scene(self, row: Any) -> Scene | None:
         """Return the label of the image alone in a row of ``keyframes``, None if it has none."""
         classes = self.classes()
-        own, smoothed = decode_scene(row, classes), decode_smoothed_scene(row, classes)
-        for scene in (own, smoothed):
-            if scene is not None and len(scene.probabilities) != len(classes):
+        for probabilities in (row["probabilities"], row["smoothed_probabilities"]):
+            if probabilities is not None and len(probabilities) != 8 * len(classes):
                 raise self._damage(
-                    f"{len(scene.probabilities)} probabilities of keyframe {row['id']}",
+                    f"{len(probabilities) // 8} probabilities of keyframe {row['id']}",
                     f"one for each class: {', '.join(classes)}",
                 )
-        return own
+        return decode_scene(row, classes)
 
     def map_poses(self) -> Array:
         """Return T_map_camera of all keyframes, (K, 4, 4), NaN before their session is finished."""

@@ -139,6 +139,7 @@ def query_keyframes(
         if component is not None or near_m is not None:
             inside = choose_component(store, component)
         first_frames = {session.id: session.first_frame for session in store.sessions()}
+        names = rows[0].keys() if rows else []  # looking them up in each row takes long
         records = [
             _keyframe_info(
                 store.scene(row),
@@ -149,7 +150,7 @@ def query_keyframes(
                 time_s=time_s,
                 near_m=near_m,
             )
-            for row in rows
+            for row in (dict(zip(names, values, strict=True)) for values in rows)
             if inside[row["id"]]
             and keyframe_id in (None, row["id"])
             and _has_label(row, scene, min_probability, labels)
