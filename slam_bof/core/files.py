@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 __all__ = ["naming", "open_bytes", "read_bytes", "read_text"]
 
@@ -28,7 +28,7 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
-def open_bytes(path: Path) -> BinaryIO:
+def open_bytes(path: Path) -> io.BufferedReader:
     """Open a file to read its bytes.
 
     A pipe of the shell, such as ``<(slam-bof config)``, is opened too.

@@ -125,7 +125,7 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
         ["run", "seq", "--model"],
         ["run"],
         ["query", "keyframes"],
-        ["show"],
+        ["show", "--out", "page.svg"],
     ],
 )
 def test_a_named_pipe_is_not_waited_for(
