@@ -83,6 +83,8 @@ def read_manifest(folder: Path) -> Manifest:
         raise AtlasError(
             f"{folder}: found no atlas, expected a folder with {FILE}; slam-bof atlas add makes one"
         ) from None
+    except OSError as error:
+        raise AtlasError(f"{path}: cannot be read: {error.strerror}") from error
     if len(text) > MAX_BYTES:
         raise AtlasError(f"{path}: found more than {MAX_BYTES} bytes, expected fewer")
     try:
