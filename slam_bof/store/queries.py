@@ -273,5 +273,5 @@ def _keyframe_info(
 
 
 def _pose(row: Any, prefix: str) -> tuple[Position, Quaternion]:
-    tx, ty, tz, qx, qy, qz, qw = (row[prefix + name] for name in POSE_COLUMNS)
+    tx, ty, tz, qx, qy, qz, qw = [row[prefix + name] for name in POSE_COLUMNS]
     return (tx, ty, tz), (qx, qy, qz, qw)
