@@ -8,6 +8,7 @@ from .checkpoint import (
     Restorable as Restorable,
 )
 from .cluster import on_cluster as on_cluster
+from .compilation import compiled as compiled
 from .failures import keep_going as keep_going
 from .file_lock import lock_file as lock_file
 from .files import (

@@ -41,6 +41,7 @@ from .observability import (
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
     ViewAligner as ViewAligner,
+    compile_alignment as compile_alignment,
 )
 from .registration_quality import (
     RegistrationQualityParams as RegistrationQualityParams,

@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import compiled
 from slam_bof.geometry.camera import PointParams, points_camera_f32, ray_slopes
 from slam_bof.types import DepthFrame, Intrinsics, SensorParams, SubsampledDepth
 
@@ -120,35 +121,33 @@ def _steps_per_m(sensor: SensorParams) -> int:
     return min(STEPS_PER_M, int(MAX_STEPS / sensor.max_depth_m + 1e-6))
 
 
+@compiled
 def surface_normals(points: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArray[np.float32]:
     """Return the normals (h, w, 3) of a grid of points, zero at edges and where points miss.
 
     Each is the cross product of the differences between the neighbours of the pixel, below minus
     above and right minus left. ``edge_ratio`` is that of ``SensorParams``.
     """
-    x, y, z = np.ascontiguousarray(np.moveaxis(points, -1, 0))
-    across = [c[1:-1, 2:] - c[1:-1, :-2] for c in (x, y, z)]
-    along = [c[2:, 1:-1] - c[:-2, 1:-1] for c in (x, y, z)]
-    cross = np.stack(
-        [
-            along[1] * across[2] - along[2] * across[1],
-            along[2] * across[0] - along[0] * across[2],
-            along[0] * across[1] - along[1] * across[0],
-        ],
-        axis=-1,
-    )
-    length = np.sqrt((cross * cross).sum(axis=-1))
-    known = z > 0
-    step = edge_ratio * (1.0 + z[1:-1, 1:-1])
-    smooth = (
-        known[1:-1, 1:-1]
-        & (known[1:-1, 2:] & known[1:-1, :-2] & known[2:, 1:-1] & known[:-2, 1:-1])
-        & (np.abs(across[2]) < step)
-        & (np.abs(along[2]) < step)
-        & (length > 0)
-    )
+    height, width, _ = points.shape
     normals = np.zeros_like(points)
-    np.divide(cross, length[..., None], out=normals[1:-1, 1:-1], where=smooth[..., None])
+    for row in range(1, height - 1):
+        for column in range(1, width - 1):
+            left, right = points[row, column - 1], points[row, column + 1]
+            above, below = points[row - 1, column], points[row + 1, column]
+            z = points[row, column, 2]
+            if not min(z, left[2], right[2], above[2], below[2]) > 0.0:
+                continue
+            step = edge_ratio * (1.0 + z)
+            if abs(right[2] - left[2]) >= step or abs(below[2] - above[2]) >= step:
+                continue
+            p, q, r = below[0] - above[0], below[1] - above[1], below[2] - above[2]
+            u, v, w = right[0] - left[0], right[1] - left[1], right[2] - left[2]
+            x, y, z = q * w - r * v, r * u - p * w, p * v - q * u
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > 0.0:
+                normals[row, column, 0] = x / length
+                normals[row, column, 1] = y / length
+                normals[row, column, 2] = z / length
     return normals
 
 

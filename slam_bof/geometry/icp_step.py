@@ -1,75 +1,132 @@
-"""One step of projective ICP: which points lie on which surfaces, and the motion that fits them."""
+"""Point-to-plane ICP of two views: which points lie on which surfaces, and the motion that fits."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
+from slam_bof.core import compiled
+from slam_bof.geometry.projection import NORMAL_STEPS, OUTSIDE, ViewArrays, project
+from slam_bof.geometry.view_stack import Floats, Indices
+from slam_bof.types import Array
 
-__all__ = ["Association", "associate", "small_motions", "solve_step"]
+__all__ = ["associate", "fill_derivative", "refine"]
 
+PER_STEP = 1.0 / NORMAL_STEPS
 MIN_COSINE = 0.6
 """Least cosine between the normals of points that match."""
-MIN_SPREAD = np.float32(0.02)
+MIN_SPREAD = 0.02
 """Mean square of normals along a direction, below which it is their noise."""
-MAX_LEVERAGE = np.float32(10.0)
+MAX_LEVERAGE = 10.0
 """A point whose normal is rare has at most this many times the weight of others."""
-MIN_INFORMATION = np.float32(0.003)
+MIN_INFORMATION = 0.003
 """Steps along directions with a smaller share of the information are shortened."""
 MIN_PAIRS = 12
 """A view with fewer pairs is not moved."""
 
 
-class Association(NamedTuple):
-    """Pairs of m points of a query with the surfaces of n matches, in the matches' frames.
-
-    Coordinates lie one after the other in memory.
-    """
-
-    points: Floats
-    """(n, 3, m)."""
-    normals_query: Floats
-    """(n, 3, m), of the query's surface."""
-    normals_match: Floats
-    """(n, 3, m), of the matches' surfaces."""
-    residuals_m: Floats
-    """(n, m), along the normals of the matches' surfaces."""
-    matched: NDArray[np.bool_]
-    """(n, m)."""
-
-
-def associate(
-    views: ViewStack,
-    query: int,
+@compiled
+def refine(
+    views: ViewArrays,
     matches: Indices,
-    T_match_query: Floats,
-    *,
-    gate_m: np.float32,
-    n_points: int,
-) -> Association:
-    """Pair points of the query's surfaces with what the matches see at the pixels they fall on."""
-    points, facing = views.surface(query, n_points)
-    projected = views.project_points(points, T_match_query)
-    gap, normals = views.surface_at(matches, projected)
-    moved = _rotate(T_match_query, points)
-    moved += T_match_query[:, :3, 3:]
-    gap -= moved
-    residuals_m = _dot(gap, normals)
-    turned = _rotate(T_match_query, facing)
-    # Where nothing is known the normal is zero, and so is the cosine.
-    matched = _dot(normals, turned) > MIN_COSINE
-    matched &= projected.inside
-    matched &= _dot(gap, gap) < 4.0 * gate_m**2
-    matched &= np.abs(residuals_m) < gate_m
-    return Association(moved, turned, normals, residuals_m, matched)
+    points: Floats,
+    normals: Floats,
+    T_match_query: Array,
+    gates_m: Array,
+    n_points: Indices,
+    min_step: float,
+    n_final: int,
+) -> Array:
+    """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
+
+    Parameters
+    ----------
+    views, matches
+        Views, and which of them (n,) are matches.
+    points, normals
+        (m, 3) each, of the query's surfaces.
+    T_match_query
+        (n, 4, 4) starts.
+    gates_m, n_points
+        Of each iteration: the largest residual, and how many of the points it uses.
+    min_step, n_final
+        A pair that moves by less, in rad and m, rests until this many iterations are left.
+    """
+    refined = T_match_query.copy()
+    pairs = np.empty((len(points), 10))
+    for k in range(len(matches)):
+        moving = True
+        for iteration in range(len(gates_m)):
+            if not moving and iteration < len(gates_m) - n_final:
+                continue
+            n = n_points[iteration]
+            gate_m = gates_m[iteration]
+            n_pairs = associate(
+                views, matches[k], points[:n], normals[:n], refined[k], gate_m, pairs
+            )[0]
+            step = _solve_step(pairs[:n_pairs], gate_m)
+            refined[k] = _small_motion(step) @ refined[k]
+            moving = np.abs(step).max() > min_step
+    return refined
 
 
-def solve_step(found: Association, gate_m: np.float32) -> Floats:
-    """Return the small motions (n, 6), rotation first, of weighted least squares.
+@compiled
+def associate(
+    views: ViewArrays,
+    match: int,
+    points: Floats,
+    normals: Floats,
+    T_match_query: Array,
+    gate_m: float,
+    pairs: Array,
+) -> tuple[int, NDArray[np.intp]]:
+    """Pair points (m, 3) of a query's surfaces with what a match sees at the pixels they fall on.
+
+    Returns the number of pairs, and the indices of their points. The rows of ``pairs`` (m, 10) are
+    filled, in the match's frame: point, normal of the query's surface, normal of the match's
+    surface, and the residual along the latter.
+    """
+    T = T_match_query
+    indices = np.empty(len(points), np.intp)
+    n = 0
+    for k in range(len(points)):
+        x, y, z = points[k, 0], points[k, 1], points[k, 2]
+        pixel, _, _, depth_m = project(views, T, x, y, z)
+        if pixel == OUTSIDE:
+            continue
+        normal_x = views.normals[match, pixel, 0] * PER_STEP
+        normal_y = views.normals[match, pixel, 1] * PER_STEP
+        normal_z = views.normals[match, pixel, 2] * PER_STEP
+        p, q, r = normals[k, 0], normals[k, 1], normals[k, 2]
+        facing_x = T[0, 0] * p + T[0, 1] * q + T[0, 2] * r
+        facing_y = T[1, 0] * p + T[1, 1] * q + T[1, 2] * r
+        facing_z = T[2, 0] * p + T[2, 1] * q + T[2, 2] * r
+        # Where nothing is known the normal is zero, and so is the cosine.
+        if not normal_x * facing_x + normal_y * facing_y + normal_z * facing_z > MIN_COSINE:
+            continue
+        moved_x = T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]
+        moved_y = T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]
+        there_m = views.depths_m[match, pixel]
+        gap_x = views.rays[pixel, 0] * there_m - moved_x
+        gap_y = views.rays[pixel, 1] * there_m - moved_y
+        gap_z = there_m - depth_m
+        if not gap_x * gap_x + gap_y * gap_y + gap_z * gap_z < 4.0 * gate_m * gate_m:
+            continue
+        residual_m = gap_x * normal_x + gap_y * normal_y + gap_z * normal_z
+        if not abs(residual_m) < gate_m:
+            continue
+        pairs[n, 0], pairs[n, 1], pairs[n, 2] = moved_x, moved_y, depth_m
+        pairs[n, 3], pairs[n, 4], pairs[n, 5] = facing_x, facing_y, facing_z
+        pairs[n, 6], pairs[n, 7], pairs[n, 8] = normal_x, normal_y, normal_z
+        pairs[n, 9] = residual_m
+        indices[n] = k
+        n += 1
+    return n, indices[:n]
+
+
+@compiled
+def _solve_step(pairs: Array, gate_m: float) -> Array:
+    """Return the small motion (6,), rotation first, of weighted least squares.
 
     Residuals and their derivatives are along the match's normals, but the equations are weighted
     by the query's normals, whose noise is independent (instrumental variables). With the match's
@@ -77,76 +134,91 @@ def solve_step(found: Association, gate_m: np.float32) -> Floats:
     noise of normals would count as information. Views do not move along directions that the
     surfaces leave open.
     """
-    points, normals_query, normals_match, residuals_m, matched = found
-    n, _, m = points.shape
-    # Geman-McClure, and less for what is far, whose depth is less sure.
-    weight = residuals_m * (np.float32(2.0) / gate_m)
-    weight *= weight
-    weight += np.float32(1.0)
-    weight *= weight
-    weight *= np.float32(0.2) + np.float32(0.2) * np.square(points[:, 2])
-    np.divide(matched, weight, out=weight)
-    weight *= _leverage(normals_query, matched)
-    total = np.maximum(weight.sum(axis=1), np.float32(1e-6))
-    weight /= total[:, None]
-    centre = (points @ weight[:, :, None])[..., 0]
-    offsets = points - centre[..., None]
-    radius_m = np.sqrt(np.maximum((_dot(offsets, offsets) * weight).sum(axis=1), np.float32(1e-4)))
-    offsets /= radius_m[:, None, None]
-    rows = np.empty((n, 7, m), np.float32)
-    rows[:, :3] = _cross(offsets, normals_match)
-    rows[:, 3:6] = normals_match
-    rows[:, 6] = residuals_m
-    instruments = np.concatenate([_cross(offsets, normals_query), normals_query], axis=1)
-    instruments *= weight[:, None]
-    products = instruments @ rows.transpose(0, 2, 1)
-    cross = products[..., :6]
-    values, vectors = np.linalg.eigh(0.5 * (cross + cross.transpose(0, 2, 1)))
-    gains = np.maximum(values, 0.0) / (np.square(values) + MIN_INFORMATION**2)
-    along = vectors.transpose(0, 2, 1) @ products[..., 6:]
-    scaled = (vectors @ (gains[..., None] * along))[..., 0]
-    scaled *= (matched.sum(axis=1) >= MIN_PAIRS)[:, None]
-    turns = scaled[:, :3] / radius_m[:, None]
-    shifts = scaled[:, 3:] + _cross(centre[..., None], turns[..., None])[..., 0]
-    return np.concatenate([turns, shifts], axis=1)
+    step = np.zeros(6)
+    if len(pairs) < MIN_PAIRS:
+        return step
+    weights = _weights(pairs, gate_m)
+    centre = np.zeros(3)
+    square = 0.0
+    for k in range(len(pairs)):
+        for i in range(3):
+            centre[i] += weights[k] * pairs[k, i]
+            square += weights[k] * pairs[k, i] * pairs[k, i]
+    radius_m = np.sqrt(max(square - (centre * centre).sum(), 1e-4))
+    instruments, rows = np.empty((len(pairs), 6)), np.empty((len(pairs), 7))
+    for k in range(len(pairs)):
+        x = (pairs[k, 0] - centre[0]) / radius_m
+        y = (pairs[k, 1] - centre[1]) / radius_m
+        z = (pairs[k, 2] - centre[2]) / radius_m
+        fill_derivative(instruments[k], x, y, z, pairs[k, 3:6], weights[k])
+        fill_derivative(rows[k], x, y, z, pairs[k, 6:9], 1.0)
+        rows[k, 6] = pairs[k, 9]
+    products = instruments.T @ rows
+    symmetric = 0.5 * (products[:, :6] + products[:, :6].T)
+    values, vectors = np.linalg.eigh(symmetric)
+    for j in range(6):
+        gain = max(values[j], 0.0) / (values[j] * values[j] + MIN_INFORMATION * MIN_INFORMATION)
+        along = 0.0
+        for i in range(6):
+            along += vectors[i, j] * products[i, 6]
+        for i in range(6):
+            step[i] += gain * along * vectors[i, j]
+    for i in range(3):
+        step[i] /= radius_m
+    step[3] += centre[1] * step[2] - centre[2] * step[1]
+    step[4] += centre[2] * step[0] - centre[0] * step[2]
+    step[5] += centre[0] * step[1] - centre[1] * step[0]
+    return step
 
 
-def small_motions(tangent: Floats) -> Floats:
-    """Return small motions as (n, 4, 4): their rotation exactly, the translation as it is."""
-    T = np.zeros((len(tangent), 4, 4), np.float32)
-    T[:, :3, :3] = Rotation.from_rotvec(tangent[:, :3]).as_matrix()
-    T[:, :3, 3] = tangent[:, 3:]
-    T[:, 3, 3] = 1.0
-    return T
+@compiled
+def fill_derivative(row: Array, x: float, y: float, z: float, normal: Array, weight: float) -> None:
+    """Fill in how a point's distance along a normal changes with its rotation and translation."""
+    p, q, r = weight * normal[0], weight * normal[1], weight * normal[2]
+    row[0], row[1], row[2] = y * r - z * q, z * p - x * r, x * q - y * p
+    row[3], row[4], row[5] = p, q, r
 
 
-def _leverage(normals: Floats, matched: NDArray[np.bool_]) -> Floats:
-    """Weigh points (n, m) by how rare their normals (n, 3, m) are: n' N^-1 n, N their mean square.
+@compiled
+def _weights(pairs: Array, gate_m: float) -> Array:
+    """Weigh pairs (m, 10) by residual, depth and how rare their normals are; the sum is 1.
 
-    The many points on a floor then do not outweigh the few that hold a view sideways. This is the
-    normal-space sampling of Rusinkiewicz and Levoy (2001), by weights.
+    By residual as Geman and McClure do, and less what is far, whose depth is less sure. How rare a
+    normal n is: n' N^-1 n, N the mean square of all. The many points on a floor then do not
+    outweigh the few that hold a view sideways. This is the normal-space sampling of Rusinkiewicz
+    and Levoy (2001), by weights.
     """
-    kept = normals * matched[:, None]
-    count = np.maximum(matched.sum(axis=1), 1)[:, None, None].astype(np.float32)
-    spread = kept @ kept.transpose(0, 2, 1) / count
-    spread = spread + MIN_SPREAD * np.eye(3, dtype=np.float32)
-    leverage = _dot(normals, np.linalg.inv(spread) @ normals)
-    return np.asarray(np.minimum(leverage * np.float32(1.0 / 3.0), MAX_LEVERAGE))
+    spread = MIN_SPREAD * np.eye(3)
+    for k in range(len(pairs)):
+        for i in range(3):
+            for j in range(3):
+                spread[i, j] += pairs[k, 3 + i] * pairs[k, 3 + j] / len(pairs)
+    rarity = np.linalg.inv(spread)
+    weights = np.empty(len(pairs))
+    total = 0.0
+    for k in range(len(pairs)):
+        leverage = 0.0
+        for i in range(3):
+            for j in range(3):
+                leverage += pairs[k, 3 + i] * rarity[i, j] * pairs[k, 3 + j]
+        off = 2.0 * pairs[k, 9] / gate_m
+        robust = 1.0 / (1.0 + off * off) ** 2
+        near = 1.0 / (0.2 + 0.2 * pairs[k, 2] * pairs[k, 2])
+        weights[k] = robust * near * min(leverage / 3.0, MAX_LEVERAGE)
+        total += weights[k]
+    return weights / max(total, 1e-6)
 
 
-def _rotate(T: Floats, vectors: Floats) -> Floats:
-    """Return vectors (m, 3) turned by each of (n, 4, 4), coordinate by coordinate: (n, 3, m)."""
-    turns = np.ascontiguousarray(T[:, :3, :3]).reshape(-1, 3)
-    return np.asarray(turns @ vectors.T).reshape(len(T), 3, -1)
-
-
-def _dot(a: Floats, b: Floats) -> Floats:
-    """Return the dot products (n, m) of vectors (n, 3, m)."""
-    return np.asarray(a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2])
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    """Return the cross products (n, 3, m) of vectors (n, 3, m)."""
-    x, y, z = a.transpose(1, 0, 2)
-    u, v, w = b.transpose(1, 0, 2)
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+@compiled
+def _small_motion(tangent: Array) -> Array:
+    """Return a small motion as (4, 4): its rotation exactly, the translation as it is."""
+    x, y, z = tangent[0], tangent[1], tangent[2]
+    angle = np.sqrt(x * x + y * y + z * z)
+    a = np.sin(angle) / angle if angle > 1e-6 else 1.0
+    b = 2.0 * (np.sin(0.5 * angle) / angle) ** 2 if angle > 1e-6 else 0.5
+    T = np.eye(4)
+    T[0, 0], T[0, 1], T[0, 2] = 1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y
+    T[1, 0], T[1, 1], T[1, 2] = b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x
+    T[2, 0], T[2, 1], T[2, 2] = b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)
+    T[:3, 3] = tangent[3:]
+    return T

@@ -12,7 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from slam_bof.core import compiled
 from slam_bof.geometry import se3
+from slam_bof.geometry.icp_step import fill_derivative
 from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.types import Array, Pose
 
@@ -62,15 +64,9 @@ class PrincipalDirections(NamedTuple):
         points = pairs.points_query
         if len(points) < min_pairs:
             return None
-        centre = points.mean(axis=0)
-        offsets = points - centre
-        radius_m = max(float(np.sqrt(np.square(offsets).sum(axis=1).mean())), MIN_RADIUS_M)
-        offsets /= radius_m
-        by_query, by_match = (
-            np.hstack([np.cross(offsets, normals), normals])
-            for normals in (pairs.facing_query, pairs.normals_query)
+        centre, radius_m, cross = _cross_information(
+            points, pairs.facing_query, pairs.normals_query
         )
-        cross = by_query.T @ by_match / len(points)
         information, axes = np.linalg.eigh(0.5 * (cross + cross.T))
         return cls(centre, radius_m, information, axes)
 
@@ -125,6 +121,33 @@ class PrincipalDirections(NamedTuple):
             off = held @ self.displacement(se3.inverse(T) @ T_kept)
             T_kept = T_kept @ se3.exp(-np.linalg.pinv(constraints) @ off)
         return T_kept
+
+
+@compiled
+def _cross_information(
+    points: Array, normals_query: Array, normals_match: Array
+) -> tuple[Array, float, Array]:
+    """Return centre (3,) and radius of points (m, 3), and the mean (6, 6) of products of rows.
+
+    A row is the derivative of a residual along a normal by the displacement of the point; those of
+    the query's normals are multiplied with those of the match's.
+    """
+    m = len(points)
+    centre, square = np.zeros(3), 0.0
+    for k in range(m):
+        for i in range(3):
+            centre[i] += points[k, i] / m
+            square += points[k, i] * points[k, i] / m
+    radius_m = max(np.sqrt(max(square - (centre * centre).sum(), 0.0)), MIN_RADIUS_M)
+    by_query, by_match = np.empty((m, 6)), np.empty((m, 6))
+    for k in range(m):
+        x = (points[k, 0] - centre[0]) / radius_m
+        y = (points[k, 1] - centre[1]) / radius_m
+        z = (points[k, 2] - centre[2]) / radius_m
+        fill_derivative(by_query[k], x, y, z, normals_query[k], 1.0 / m)
+        fill_derivative(by_match[k], x, y, z, normals_match[k], 1.0)
+    cross = by_query.T @ by_match
+    return centre, radius_m, cross
 
 
 def open_directions(

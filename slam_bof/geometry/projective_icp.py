@@ -8,7 +8,7 @@ starting poses, scored by few points, is followed by point-to-plane ICP with pro
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.geometry import se3
-from slam_bof.geometry.depth_view import DepthView
-from slam_bof.geometry.icp_step import associate, small_motions, solve_step
+from slam_bof.geometry.depth_view import DepthView, make_view
+from slam_bof.geometry.icp_step import associate, refine
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
     Agreement,
@@ -27,17 +27,16 @@ from slam_bof.geometry.visibility import (
     agreement_score,
     classify_points,
     coverage,
+    score_poses,
 )
-from slam_bof.types import Array, Params
+from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
-__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
+__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner", "compile_alignment"]
 
 ORBIT_M = 2.0
 """Half of the random motions turn about a point this far ahead, so that it stays in view."""
 N_COARSE_POINTS = 400
 """Number of points of a view that ``coarse_score`` uses."""
-CHUNK = 2**15
-"""Number of points computed at a time, so that they stay in the cache."""
 
 
 class AlignmentParams(Params):
@@ -167,36 +166,25 @@ class ViewAligner:
 
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
-        return self.refine(query, matches, self._search(query, matches, starts.astype(np.float32)))
+        return self.refine(query, matches, self._search(query, matches, starts))
 
-    def refine(self, query: int, matches: Indices, T_match_query: Floats) -> Array:
-        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them, all in one batch.
+    def refine(self, query: int, matches: Indices, T_match_query: Array) -> Array:
+        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
 
         Pairs that have come to rest wait for the last iterations, whose gates are the narrowest.
         """
         p = self.params
-        T: Floats = T_match_query.astype(np.float32)
-        moving = np.ones(len(matches), np.bool_)
-        for k, gate_m in enumerate(np.geomspace(*p.gates_m, p.n_iterations).astype(np.float32)):
-            fine = k >= p.n_iterations - p.n_fine_iterations
-            n_points = p.n_points if fine else min(p.n_points, p.n_coarse_points)
-            if k >= p.n_iterations - p.n_final_iterations:
-                moving[:] = True
-            left = np.flatnonzero(moving)
-            for some in _chunks(len(left), n_points):
-                pairs = left[some]
-                found = associate(
-                    self._views,
-                    query,
-                    matches[pairs],
-                    T[pairs],
-                    gate_m=gate_m,
-                    n_points=n_points,
-                )
-                steps = solve_step(found, gate_m)
-                T[pairs] = small_motions(steps) @ T[pairs]
-                moving[pairs] = np.abs(steps).max(axis=1) > p.min_step
-        return T.astype(np.float64)
+        fine = np.arange(p.n_iterations) >= p.n_iterations - p.n_fine_iterations
+        return refine(
+            self._views.arrays(),
+            self._views.rows(matches),
+            *self._views.surface(query),
+            np.ascontiguousarray(T_match_query, np.float64),
+            np.geomspace(*p.gates_m, p.n_iterations),
+            np.where(fine, p.n_points, min(p.n_points, p.n_coarse_points)),
+            p.min_step,
+            p.n_final_iterations,
+        )
 
     def surface_pairs(
         self, query: int, matches: Indices, T_match_query: Array
@@ -205,17 +193,17 @@ class ViewAligner:
 
         That is within the last gate.
         """
-        gate_m = np.float32(self.params.gates_m[-1])
-        T = T_match_query.astype(np.float32)
-        found = associate(
-            self._views, query, matches, T, gate_m=gate_m, n_points=self.params.n_points
-        )
-        points, facing = (a.astype(np.float64) for a in self._views.surface(query))
+        arrays, rows = self._views.arrays(), self._views.rows(matches)
+        surface = self._views.surface(query)
+        points, facing = (a.astype(np.float64) for a in surface)
+        found = np.empty((len(points), 10))
         pairs = []
-        for k, matched in enumerate(found.matched):
-            normals = found.normals_match[k][:, matched].T @ T_match_query[k, :3, :3]
-            residuals_m = found.residuals_m[k][matched].astype(np.float64)
-            pairs.append(SurfacePairs(points[matched], normals, facing[matched], residuals_m))
+        for row, T in zip(rows, T_match_query, strict=True):
+            n, indices = associate(arrays, row, *surface, T, self.params.gates_m[-1], found)
+            normals = found[:n, 6:9] @ T[:3, :3]
+            pairs.append(
+                SurfacePairs(points[indices], normals, facing[indices], found[:n, 9].copy())
+            )
         return pairs
 
     def inlier_ratio(
@@ -223,8 +211,8 @@ class ViewAligner:
     ) -> tuple[Floats, Floats]:
         """Return the shares (n,) of the query's points that are inliers or violate free space."""
         points = self._views.sampled(query)
-        T = T_match_query.astype(np.float32)
-        visibility = classify_points(self._views, points, matches, T, self.params.tolerance)
+        tolerance = self.params.tolerance
+        visibility = classify_points(self._views, points, matches, T_match_query, tolerance)
         return visibility.inlier.mean(axis=1), visibility.violating.mean(axis=1)
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
@@ -237,56 +225,50 @@ class ViewAligner:
 
     def coarse_score(self, query: int, match: int, T_match_query: Array) -> Floats:
         """Score poses (n, 4, 4) of one pair by few points and one way only: quick, and coarse."""
-        tolerance = np.array(self.params.tolerance, np.float32)
         points = self._views.sampled(query, N_COARSE_POINTS)
-        poses = T_match_query.astype(np.float32)[None]
-        return np.asarray(self._score(points, np.array([match]), poses, tolerance)[0])
+        tolerance = np.array(self.params.tolerance)
+        row = int(self._views.rows(match))
+        return score_poses(self._views.arrays(), row, points, T_match_query, tolerance)
 
     def coverage(self, query: int, matches: Indices, T_match_query: Array) -> Coverage:
         """Measure how far the query agrees with all matches (n,) together at poses (n, 4, 4)."""
         return coverage(self._views, query, matches, T_match_query, self.params.tolerance)
 
-    def _search(self, query: int, matches: Indices, starts: Floats) -> Floats:
+    def _search(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return the best of random poses about the starts, in rounds of smaller motions."""
         points = self._views.sampled(query, self.params.n_search_points)
-        tolerance = np.array(self.params.search_tolerance, np.float32)
+        tolerance = np.array(self.params.search_tolerance)
+        arrays, rows = self._views.arrays(), self._views.rows(matches)
         for motions in self._motions:
             tried = np.matmul(motions, starts[:, :, None]).reshape(len(starts), -1, 4, 4)
-            scores = np.empty(tried.shape[:2], np.float32)
-            for some in _chunks(len(matches), scores.shape[1] * len(points)):
-                scores[some] = self._score(points, matches[some], tried[some], tolerance)
+            scores = np.stack(
+                [
+                    score_poses(arrays, row, points, poses, tolerance)
+                    for row, poses in zip(rows, tried, strict=True)
+                ]
+            )
             best = np.argsort(-scores, axis=1, kind="stable")[:, :2]
             starts = np.take_along_axis(tried, best[..., None, None], axis=1)
-            tolerance = tolerance * np.float32(0.7)
+            tolerance = tolerance * 0.7
         return starts[:, 0]
 
-    def _score(self, points: Floats, matches: Indices, poses: Floats, tolerance: Floats) -> Floats:
-        """Score poses (n, P, 4, 4): inliers count, violations of free space cost half as much."""
-        n, n_poses = poses.shape[:2]
-        projected = self._views.project_points(points, poses.reshape(-1, 4, 4))
-        there, _ = self._views.depth_at(np.repeat(matches, n_poses), projected)
-        known = there > 0
-        off = projected.depth_m
-        off -= there
-        there *= tolerance[1]
-        there += tolerance[0]
-        off /= there
-        free_space_violation = off < -1.0
-        worth = np.abs(off, out=off)
-        np.subtract(np.float32(1.0), worth, out=worth)
-        np.maximum(worth, np.float32(0.0), out=worth)
-        worth -= np.float32(0.5) * free_space_violation
-        worth *= known
-        return np.asarray(worth.mean(axis=1).reshape(n, n_poses))
+
+@cache
+def compile_alignment() -> None:
+    """Compile alignment, or load it from the disk, before a first frame would wait for it."""
+    aligner = ViewAligner(AlignmentParams())
+    camera = Intrinsics(32, 24, 28.0, 28.0, 15.5, 11.5)
+    wall = DepthFrame(0.0, np.full((camera.height, camera.width), 2.0, np.float32), camera)
+    for _ in range(2):
+        aligner.add(make_view(wall))
+    matches, T = np.array([0]), np.eye(4)[None]
+    aligner.align(1, matches, T[None])
+    aligner.agreement(1, matches, T)
+    aligner.agreement_score(1, matches, T)
+    aligner.surface_pairs(1, matches, T)
 
 
-def _chunks(n: int, n_each: int) -> Iterator[slice]:
-    """Slice n pairs, of so many points each, into chunks."""
-    step = max(1, CHUNK // n_each)
-    return (slice(start, start + step) for start in range(0, n, step))
-
-
-def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
+def _random_motions(params: AlignmentParams, seed: int) -> list[Array]:
     """Return the motions (n_poses, 4, 4) of each round, the first of which stays."""
     random = np.random.default_rng(seed)
     sigma = np.concatenate([np.radians(params.sigma_deg), params.sigma_m])
@@ -302,5 +284,5 @@ def _random_motions(params: AlignmentParams, seed: int) -> list[Floats]:
         orbiting[0] = False
         centre = np.array([0.0, 0.0, ORBIT_M])
         T[orbiting, :3, 3] += centre - T[orbiting, :3, :3] @ centre
-        rounds.append(T.astype(np.float32))
+        rounds.append(T)
     return rounds

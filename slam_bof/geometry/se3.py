@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
 from slam_bof.types import Array, Pose
 
@@ -35,6 +35,9 @@ TOLERANCE = 1e-2
 numbers with few digits."""
 LAST_ROW: Array = np.array([0.0, 0.0, 0.0, 1.0])
 LAST_ROW_TOLERANCE = 1e-6
+EYE: Array = np.eye(3)
+SMALL_RAD = 0.03
+"""Angles below which a series is more precise."""
 MAX_POSITION_M = 1e8
 """Largest coordinate of a position given by the user; geocentric ones have 6.4e6 m."""
 
@@ -115,17 +118,58 @@ def inverse(T: Pose) -> Pose:
 
 
 def exp(tangent: Array) -> Pose:
-    """Map tangent vectors (..., 6), rotation first, to transforms (..., 4, 4)."""
+    """Map tangent vectors (..., 6), rotation first, to transforms (..., 4, 4).
+
+    With K the cross product matrix of the rotation and a its angle, the rotation is
+    I + (sin a / a) K + ((1 - cos a) / a^2) K^2, and the translation is multiplied with
+    I + ((1 - cos a) / a^2) K + ((a - sin a) / a^3) K^2.
+    """
     tangent = np.asarray(tangent, dtype=np.float64)
-    flat = RigidTransform.from_exp_coords(tangent.reshape(-1, 6)).as_matrix()
-    return np.asarray(flat).reshape(*tangent.shape[:-1], 4, 4)
+    K, angle = _cross_matrix(tangent)
+    square = K @ K
+    sine = np.sinc(angle / np.pi)
+    cosine = 0.5 * np.square(np.sinc(angle / (2.0 * np.pi)))
+    angle_2 = np.square(angle)
+    remainder = np.where(
+        angle < SMALL_RAD,
+        1.0 / 6.0 - angle_2 * (1.0 / 120.0 - angle_2 / 5040.0),
+        (1.0 - sine) / np.where(angle < SMALL_RAD, 1.0, angle_2),
+    )
+    T = np.zeros((*K.shape[:-2], 4, 4))
+    T[..., :3, :3] = EYE + sine * K + cosine * square
+    T[..., :3, 3:] = (EYE + cosine * K + remainder * square) @ tangent[..., 3:, None]
+    T[..., 3, 3] = 1.0
+    return T
 
 
 def log(T: Pose) -> Array:
-    """Map transforms (..., 4, 4) to tangent vectors (..., 6), rotation first."""
+    """Map transforms (..., 4, 4) to tangent vectors (..., 6), rotation first; undoes ``exp``."""
     T = np.asarray(T, dtype=np.float64)
-    flat = RigidTransform.from_matrix(T.reshape(-1, 4, 4)).as_exp_coords()
-    return np.asarray(flat).reshape(*T.shape[:-2], 6)
+    tangent = np.empty((*T.shape[:-2], 6))
+    R = T[..., :3, :3].reshape(-1, 3, 3)
+    rotations = Rotation.from_matrix(R, assume_valid=True).as_rotvec()
+    tangent[..., :3] = rotations.reshape((*tangent.shape[:-1], 3))
+    K, angle = _cross_matrix(tangent)
+    # (1 - a / 2 cot(a / 2)) / a^2
+    angle_2 = np.square(angle)
+    half = np.where(angle < SMALL_RAD, 1.0, 0.5 * angle)
+    remainder = np.where(
+        angle < SMALL_RAD,
+        1.0 / 12.0 + angle_2 * (1.0 / 720.0 + angle_2 / 30240.0),
+        0.25 * (1.0 - half / np.tan(half)) / np.square(half),
+    )
+    inverse_translation = EYE - 0.5 * K + remainder * (K @ K)
+    tangent[..., 3:] = (inverse_translation @ T[..., :3, 3:])[..., 0]
+    return tangent
+
+
+def _cross_matrix(tangent: Array) -> tuple[Array, Array]:
+    """Return matrices (..., 3, 3) of the cross product with rotations, and angles (..., 1, 1)."""
+    x, y, z = tangent[..., 0], tangent[..., 1], tangent[..., 2]
+    K = np.zeros((*tangent.shape[:-1], 3, 3))
+    K[..., 2, 1], K[..., 0, 2], K[..., 1, 0] = x, y, z
+    K[..., 1, 2], K[..., 2, 0], K[..., 0, 1] = -x, -y, -z
+    return K, np.sqrt(x * x + y * y + z * z)[..., None, None]
 
 
 def transform(T_a_b: Pose, points_b: Array) -> Array:

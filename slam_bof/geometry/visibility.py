@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import compiled
 from slam_bof.geometry import se3
+from slam_bof.geometry.projection import OUTSIDE, ViewArrays, interpolated_depth, project
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.types import Array
 
@@ -25,6 +27,7 @@ __all__ = [
     "agreement_score",
     "classify_points",
     "coverage",
+    "score_poses",
 ]
 
 
@@ -77,19 +80,43 @@ class PointVisibility(NamedTuple):
 
 
 def classify_points(
-    views: ViewStack, points: Floats, frames: Indices, T: Floats, tolerance: tuple[float, float]
+    views: ViewStack, points: Floats, frames: Indices, T: Array, tolerance: tuple[float, float]
 ) -> PointVisibility:
     """Compare points (m, 3), or (n, m, 3), at poses (n, 4, 4) with the depth of frames (n,).
 
     ``tolerance`` is that of depth, in m and as a share of depth.
     """
-    projected = views.project_points(points, T)
-    there, _ = views.depth_at(frames, projected)
-    known = there > 0
-    off = projected.depth_m - there
-    fixed, share = tolerance
-    allowed = fixed + share * projected.depth_m
-    return PointVisibility(known & (np.abs(off) < allowed), known & (off < -allowed), known)
+    each = points if points.ndim == 3 else points[None]
+    T = np.ascontiguousarray(T, np.float64)
+    return PointVisibility(*_classify(views.arrays(), views.rows(frames), each, T, *tolerance))
+
+
+@compiled
+def _classify(
+    views: ViewArrays,
+    rows: Indices,
+    points: Floats,
+    T: Array,
+    fixed_m: float,
+    share: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return what is inlier, violating and visible, each (n, m), of points (1 or n, m, 3)."""
+    shape = (len(rows), points.shape[1])
+    inlier = np.zeros(shape, np.bool_)
+    violating = np.zeros(shape, np.bool_)
+    visible = np.zeros(shape, np.bool_)
+    for k in range(len(rows)):
+        own = points[min(k, len(points) - 1)]
+        for i in range(len(own)):
+            pixel, _, _, depth_m = project(views, T[k], own[i, 0], own[i, 1], own[i, 2])
+            if pixel == OUTSIDE or not views.depths_m[rows[k], pixel] > 0.0:
+                continue
+            off_m = depth_m - views.depths_m[rows[k], pixel]
+            allowed_m = fixed_m + share * depth_m
+            inlier[k, i] = abs(off_m) < allowed_m
+            violating[k, i] = off_m < -allowed_m
+            visible[k, i] = True
+    return inlier, violating, visible
 
 
 def agreement(
@@ -119,29 +146,66 @@ def agreement_score(
     views: ViewStack, query: int, matches: Indices, T_match_query: Array
 ) -> AgreementScore:
     """Score poses (n, 4, 4) of the query in the matches (n,), to choose between nearby poses."""
-    n_compared = np.zeros(len(matches))
-    worth = np.zeros(len(matches))
-    visible_ratio = np.ones(len(matches))
-    for points, others, T in (
-        (views.sampled(query, N_SCORE_POINTS), matches, T_match_query),
-        (
-            views.sampled(matches, N_SCORE_POINTS),
-            np.full(len(matches), query),
-            se3.inverse(T_match_query),
-        ),
-    ):
-        projected = views.project_points(points, T.astype(np.float32))
-        there, _ = views.interpolated_depth_at(others, projected)
-        known = there > 0
-        off = projected.depth_m - there
-        for fixed, share in SCORE_TOLERANCES:
-            allowed = fixed + share * projected.depth_m
-            worth += (known & (np.abs(off) < allowed)).sum(axis=1)
-            worth -= 0.5 * (known & (off < -allowed)).sum(axis=1)
-        n_compared += known.sum(axis=1)
-        visible_ratio = np.minimum(visible_ratio, known.mean(axis=1))
-    score = worth / (len(SCORE_TOLERANCES) * np.maximum(n_compared, 1.0))
+    arrays = views.arrays()
+    own, theirs = views.sampled(query, N_SCORE_POINTS), views.sampled(matches, N_SCORE_POINTS)
+    asked = np.full(len(matches), views.rows(query))
+    T_match_query = np.ascontiguousarray(T_match_query, np.float64)
+    worth, n_visible = _worth(arrays, views.rows(matches), own[None], T_match_query)
+    worth_back, n_visible_back = _worth(arrays, asked, theirs, se3.inverse(T_match_query))
+    score = (worth + worth_back) / np.maximum(n_visible + n_visible_back, 1)
+    visible_ratio = np.minimum(n_visible, n_visible_back) / len(own)
     return AgreementScore(score, visible_ratio)
+
+
+@compiled
+def _worth(
+    views: ViewArrays, rows: Indices, points: Floats, T: Array
+) -> tuple[Array, NDArray[np.intp]]:
+    """Return the worth of points (1 or n, m, 3) at poses (n, 4, 4), and how many are compared.
+
+    An inlier counts 1, a violation of free space -0.5; the mean over several tolerances.
+    """
+    worth = np.zeros(len(rows))
+    n_visible = np.zeros(len(rows), np.intp)
+    for k in range(len(rows)):
+        own = points[min(k, len(points) - 1)]
+        for i in range(len(own)):
+            pixel, column_offset, row_offset, depth_m = project(
+                views, T[k], own[i, 0], own[i, 1], own[i, 2]
+            )
+            if pixel == OUTSIDE:
+                continue
+            there_m = interpolated_depth(views, rows[k], pixel, column_offset, row_offset)
+            if not there_m > 0.0:
+                continue
+            n_visible[k] += 1
+            off_m = depth_m - there_m
+            for fixed_m, share in SCORE_TOLERANCES:
+                allowed_m = fixed_m + share * depth_m
+                if abs(off_m) < allowed_m:
+                    worth[k] += 1.0 / len(SCORE_TOLERANCES)
+                elif off_m < 0.0:
+                    worth[k] -= 0.5 / len(SCORE_TOLERANCES)
+    return worth, n_visible
+
+
+@compiled
+def score_poses(views: ViewArrays, row: int, points: Floats, T: Array, tolerance: Array) -> Array:
+    """Score poses (n, 4, 4) of points (m, 3) in one view, one way only: quick, and coarse.
+
+    The better points lie within the ``tolerance`` (2,), in m and as a share of depth, the more they
+    count, up to 1; violations of free space cost 0.5.
+    """
+    scores = np.zeros(len(T))
+    for k in range(len(T)):
+        for i in range(len(points)):
+            pixel, _, _, depth_m = project(views, T[k], points[i, 0], points[i, 1], points[i, 2])
+            if pixel == OUTSIDE or not views.depths_m[row, pixel] > 0.0:
+                continue
+            there_m = views.depths_m[row, pixel]
+            off = (depth_m - there_m) / (tolerance[0] + tolerance[1] * there_m)
+            scores[k] += max(1.0 - abs(off), 0.0) if off >= -1.0 else -0.5
+    return scores / len(points)
 
 
 def coverage(
@@ -179,10 +243,9 @@ def _both_ways(
 ) -> tuple[PointVisibility, PointVisibility]:
     """Compare the query's points with the matches, and the matches' points with the query."""
     own, theirs = points
-    T = T_match_query.astype(np.float32)
-    back = se3.inverse(T_match_query).astype(np.float32)
+    back = se3.inverse(T_match_query)
     asked = np.full(len(matches), query)
     return (
-        classify_points(views, own, matches, T, tolerance),
+        classify_points(views, own, matches, T_match_query, tolerance),
         classify_points(views, theirs, asked, back, tolerance),
     )

@@ -11,7 +11,13 @@ from typing import Any, Self
 from numpy.typing import ArrayLike
 
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
-from slam_bof.geometry import CloudCamera, quantize_depth, restore_frame, se3
+from slam_bof.geometry import (
+    CloudCamera,
+    compile_alignment,
+    quantize_depth,
+    restore_frame,
+    se3,
+)
 from slam_bof.slam.background import BackgroundMapping
 from slam_bof.slam.config import Config, preset, resolve
 from slam_bof.slam.frame_checks import FrameChecks, checked_pose, rotation_first
@@ -57,6 +63,7 @@ class LoopCloser:
         clock: StageClock | None = None,
         background: bool = False,
     ) -> None:
+        compile_alignment()
         self.history = FrameHistory()
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""

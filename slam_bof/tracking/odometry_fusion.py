@@ -11,7 +11,7 @@ state, and the pose lies between the corrected odometry and the alignment.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -32,19 +32,14 @@ TINY = 1e-12
 """Variances, m^2 and rad^2, that are nothing."""
 
 
-class _Visit(NamedTuple):
-    """Poses of a frame, by odometry and by alignment, (4, 4)."""
-
-    T_odometry: Pose
-    T_aligned: Pose
-
-
 class OdometryFusion:
     """Takes each frame's poses by odometry and by alignment, and says where it is."""
 
     def __init__(self) -> None:
         self._T_track_odometry: Pose = np.eye(4)
-        self._visits: list[_Visit] = []
+        # Of odometry and of alignment:
+        self._poses: Array | None = None  # (2, 4, 4) of the last frame
+        self._steps: Array | None = None  # (2, 6) since the one before
         self._n = 0
         # Of rotation and of translation, each (2,):
         self._difference = np.full(2, TINY)  # mean square between the steps of both
@@ -54,16 +49,17 @@ class OdometryFusion:
     def restart(self, T_odometry: Pose, T_track: Pose) -> None:
         """Take a frame's pose (4, 4) for what it is, and odometry's steps from there on."""
         self._T_track_odometry = _rigid(T_track @ se3.inverse(T_odometry))
-        self._visits = []
+        self._poses = self._steps = None
 
     def carry(self, T: Pose) -> None:
         """Move the whole track by ``T`` (4, 4)."""
         self._T_track_odometry = _rigid(T @ self._T_track_odometry)
-        self._visits = [visit._replace(T_aligned=T @ visit.T_aligned) for visit in self._visits]
+        if self._poses is not None:
+            self._poses = np.stack([self._poses[0], T @ self._poses[1]])
 
     def change_reference(self) -> None:
         """Frames are aligned with another keyframe from now on, which shifts all of them."""
-        self._visits = []
+        self._poses = self._steps = None
 
     def state(self) -> dict[str, Any]:
         """Return what was learnt so far, as JSON has it; of a frame aligned with a new keyframe."""
@@ -77,7 +73,7 @@ class OdometryFusion:
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        self._visits = []
+        self._poses = self._steps = None
         self._n = state["n"]
         self._T_track_odometry = np.array(state["T_track_odometry"])
         self._difference = np.array(state["difference"])
@@ -90,26 +86,30 @@ class OdometryFusion:
 
     def fuse(self, T_odometry: Pose, T_aligned: Pose) -> Pose:
         """Return the pose (4, 4) of a frame that has been aligned too."""
-        self._visits = [*self._visits[-2:], _Visit(T_odometry, T_aligned)]
-        if len(self._visits) == 3:
-            self._learn()
         T_predicted = self.predict(T_odometry)
-        off = se3.log(se3.inverse(T_predicted) @ T_aligned)
+        poses = np.stack([T_odometry, T_aligned])
+        before = poses if self._poses is None else self._poses
+        moved = se3.inverse(np.stack([T_predicted, *before])) @ np.stack([T_aligned, *poses])
+        tangents = se3.log(moved)
+        off, steps = tangents[0], tangents[1:]
+        if self._steps is not None:
+            self._learn(self._steps, steps)
+        self._steps = None if self._poses is None else steps
+        self._poses = poses
         of_drift, of_pose = self._gains()
         # As long as nothing is known, anything is a slip.
         if (_square(off) > SLIP**2 * self._difference).any():
             of_drift = of_pose = np.ones(2)
-        T_corrected = T_predicted @ se3.exp(off * of_drift.repeat(3))
+        T_corrected, T_fused = T_predicted @ se3.exp(
+            np.stack([off * of_drift.repeat(3), off * of_pose.repeat(3)])
+        )
         self._T_track_odometry = _rigid(T_corrected @ se3.inverse(T_odometry))
-        return T_predicted @ se3.exp(off * of_pose.repeat(3))
+        return np.asarray(T_fused)
 
-    def _learn(self) -> None:
-        """Learn from the last two steps."""
-        before, between, now = self._visits
-        odometry = _steps(before.T_odometry, between.T_odometry, now.T_odometry)
-        aligned = _steps(before.T_aligned, between.T_aligned, now.T_aligned)
-        first, second = aligned - odometry
-        unsteady = _square(aligned[1] - aligned[0]) - _square(odometry[1] - odometry[0])
+    def _learn(self, before: Array, now: Array) -> None:
+        """Learn from the last two steps, each (2, 6) by odometry and by alignment."""
+        first, second = before[1] - before[0], now[1] - now[0]
+        unsteady = _square(now[1] - before[1]) - _square(now[0] - before[0])
         self._n += 1
         is_reference_known = self._n > N_REFERENCE
         most = OUTLIER**2 * self._difference if is_reference_known else np.full(2, np.inf)
@@ -135,11 +135,6 @@ class OdometryFusion:
         of_odometry = 0.5 - (self._unsteady + 2.0 * drift) / (12.0 * noise)
         of_pose = of_drift + (1.0 - of_drift) * np.clip(of_odometry, 0.0, 1.0)
         return of_drift, of_pose
-
-
-def _steps(T_a: Pose, T_b: Pose, T_c: Pose) -> Array:
-    """Return the motions (2, 6) from each of three poses to the next."""
-    return se3.log(se3.inverse(np.stack([T_a, T_b])) @ np.stack([T_b, T_c]))
 
 
 def _products(a: Array, b: Array) -> Array:

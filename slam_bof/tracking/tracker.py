@@ -316,7 +316,9 @@ class Tracker:
             self._reference_inlier_ratio = float(
                 np.clip(followed.agreement, *REFERENCE_RATIO_RANGE)
             )
-        if not self._is_lost and self._is_usual(followed):
+        # Where odometry leaps, the pose was found by a search.
+        agrees = self._is_good if self._leaps(T_guess) else self._is_usual
+        if not self._is_lost and agrees(followed):
             self._reference_inlier_ratio += FORGETTING * (
                 followed.agreement - self._reference_inlier_ratio
             )
@@ -328,7 +330,7 @@ class Tracker:
         if before is not None:
             self._aligner.add(before)
             from_before = self._follow(BEFORE, self._T_last, T_guess)
-            if not self._is_lost and self._is_usual(from_before):
+            if not self._is_lost and agrees(from_before):
                 return _Found(from_before.T_odom_frame, inlier_ratio, False)
         searched = self._search(T_guess)
         if self._is_good(searched):
