@@ -18,7 +18,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_typestore
 
-from slam_bof.core import read_text
+from slam_bof.core import open_bytes, read_text
 from slam_bof.errors import DatasetError
 
 __all__ = ["BagFile", "Topic", "bag_kind", "find_bag", "open_bag"]
@@ -162,10 +162,8 @@ def bag_kind(path: Path) -> str:
         except (OSError, UnicodeDecodeError):
             return ""
         return "a ROS 2 bag" if "rosbag2_bagfile_information" in text else ""
-    if not path.is_file():
-        return ""  # a pipe would wait for its writer
     try:
-        with path.open("rb") as file:
+        with open_bytes(path) as file:
             head = file.read(16)
     except OSError:
         return ""
@@ -241,6 +239,9 @@ def _check_kind(bag: Path) -> None:
             f"{bag}: found a bag that its recorder did not close, expected a whole one; "
             f"rename it to {bag.stem} and run: rosbag reindex {bag.stem}"
         )
+    for file in bag.iterdir() if bag.is_dir() else ():
+        if file.is_fifo():
+            raise DatasetError(f"{file}: found a named pipe, expected a file of the bag")
     expected = "a ROS 2 bag" if bag.is_dir() else KINDS[suffix][0]
     if kind != expected:
         found = kind or "something else"

@@ -228,7 +228,8 @@ def _read_scene(file: Path) -> str:
     try:
         scene = read_text(file).strip()
     except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{file}: {error}, expected the name of a scene") from error
+        found = getattr(error, "strerror", None) or error
+        raise DatasetError(f"{file}: found {found}, expected the name of a scene") from error
     if not scene or len(scene.split()) != 1:
         raise DatasetError(f"{file}: found {scene[:40]!r}, expected one word: a scene")
     return scene
@@ -253,7 +254,8 @@ def _read_camera(file: Path, size: tuple[int, int]) -> Intrinsics:
     try:
         K = np.array([float(word) for word in read_text(file).split()])
     except (OSError, ValueError) as error:
-        raise DatasetError(f"{file}: {error}, expected 9 numbers: intrinsics") from error
+        found = getattr(error, "strerror", None) or error
+        raise DatasetError(f"{file}: found {found}, expected 9 numbers: intrinsics") from error
     if K.shape != (9,):
         raise DatasetError(f"{file}: found {K.tolist()}, expected 9 numbers: fx 0 cx 0 fy cy 0 0 1")
     height, width = size

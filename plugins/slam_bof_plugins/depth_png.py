@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import read_bytes
+from slam_bof.core import open_bytes, read_bytes
 from slam_bof.errors import DatasetError
 
 __all__ = ["check_header", "decode_depth_png", "read_depth_png"]
@@ -57,10 +57,8 @@ def check_header(path: Path, expected: tuple[int, int] | None = None) -> tuple[i
     DatasetError
         If the image is of 8 bits, in colour, or not of the ``expected`` (height, width).
     """
-    if not os.path.isfile(path):
-        return None  # a pipe would wait for its writer
     try:
-        with path.open("rb") as file:
+        with open_bytes(path) as file:
             size = _header_size(path, file.read(HEADER_LENGTH))
     except (OSError, NotAPng):
         return None

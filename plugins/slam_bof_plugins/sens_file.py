@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import open_bytes
 from slam_bof.errors import DatasetError
 from slam_bof.types import MAX_PIXELS, Array
 
@@ -81,7 +82,7 @@ class SensFile:
 
     def _read(self, at: int, n_bytes: int) -> bytes:
         try:
-            with self.path.open("rb") as file:
+            with open_bytes(self.path) as file:
                 file.seek(at)
                 return file.read(n_bytes)
         except OSError as error:
@@ -91,7 +92,7 @@ class SensFile:
 def is_sens(path: Path) -> bool:
     """Return whether a file begins as .sens files of version 4 do."""
     try:
-        with path.open("rb") as file:
+        with open_bytes(path) as file:
             head = file.read(12)
     except OSError:
         return False
@@ -112,7 +113,7 @@ def open_sens(path: Path) -> SensFile:
     """
     try:
         size = path.stat().st_size
-        with path.open("rb") as file:
+        with open_bytes(path) as file:
             return _index(path, file, size)
     except FileNotFoundError:
         raise DatasetError(f"{path}: found nothing, expected a .sens file") from None

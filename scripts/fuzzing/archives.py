@@ -62,17 +62,8 @@ def tarred(files: dict[str, bytes], rng: random.Random) -> bytes:
     for _ in range(rng.randrange(3)):
         start = 512 * rng.randrange(len(data) // 512)
         at = start + rng.choice((0, 100, 124, 124, 124, 156, 257))
-        value = rng.choice(
-            (
-                b"\xff" * 12,
-                b"\x80" + bytes(7) + b"\x01\0\0\0",
-                b"77777777777\0",
-                b"L",
-                b"x",
-                b"g",
-                b"5",
-            )
-        )
+        size = rng.choice((b"\xff" * 12, b"\x80" + bytes(7) + b"\x01\0\0\0", b"77777777777\0"))
+        value = rng.choice((size, size, size, b"L", b"x", b"g", b"5"))
         data[at : at + len(value)] = value
         head = data[start : start + 512]
         head[148:156] = b" " * 8

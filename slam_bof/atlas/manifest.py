@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from slam_bof.core import describe_error
+from slam_bof.core import describe_error, open_bytes
 from slam_bof.errors import AtlasError
 
 __all__ = ["AtlasMap", "Manifest", "SegmentEntry", "read_manifest", "sync", "write_manifest"]
@@ -77,12 +77,14 @@ def read_manifest(folder: Path) -> Manifest:
     """
     path = folder / FILE
     try:
-        with path.open("rb") as file:
+        with open_bytes(path) as file:
             text = file.read(MAX_BYTES + 1)
     except (FileNotFoundError, NotADirectoryError):
         raise AtlasError(
             f"{folder}: found no atlas, expected a folder with {FILE}; slam-bof atlas add makes one"
         ) from None
+    except OSError as error:
+        raise AtlasError(f"{path}: cannot be read: {error.strerror}") from error
     if len(text) > MAX_BYTES:
         raise AtlasError(f"{path}: found more than {MAX_BYTES} bytes, expected fewer")
     try:

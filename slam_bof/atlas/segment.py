@@ -120,6 +120,10 @@ def _open(folder: Path, column: str, dtype: np.dtype[Any], shape: tuple[int, ...
     path = folder / f"{column}.npy"
     try:
         array = open_npy(path)
+    except FileNotFoundError:
+        raise
+    except OSError as error:
+        raise AtlasError(f"{path}: cannot be read: {error.strerror}") from error
     except ValueError as error:
         raise AtlasError(f"{path}: {error}") from error
     if array.dtype != dtype or array.shape[1:] != shape or not array.ndim:

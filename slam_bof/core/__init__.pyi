@@ -13,6 +13,7 @@ from .failures import keep_going as keep_going
 from .file_lock import lock_file as lock_file
 from .files import (
     naming as naming,
+    open_bytes as open_bytes,
     read_bytes as read_bytes,
     read_text as read_text,
 )

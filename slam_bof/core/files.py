@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["naming", "read_bytes", "read_text"]
+__all__ = ["naming", "open_bytes", "read_bytes", "read_text"]
 
 MAX_BYTES = 1 << 29
 MAX_TEXT_BYTES = 1 << 27
@@ -26,15 +28,32 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
+def open_bytes(path: Path) -> io.BufferedReader:
+    """Open a file to read its bytes.
+
+    A pipe of the shell, such as ``<(slam-bof config)``, is opened too.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be opened, or is a named pipe: opening it may wait forever for a writer.
+    """
+    if stat.S_ISFIFO(path.stat().st_mode):
+        place = os.path.realpath(path)  # of a shell's pipe that is no file, or is in /dev
+        if os.path.exists(place) and not place.startswith("/dev/"):
+            raise OSError(errno.EINVAL, "a named pipe", str(path))
+    return path.open("rb")
+
+
 def read_bytes(path: Path, max_bytes: int = MAX_BYTES) -> bytes:
     """Return the content of a file of moderate size.
 
     Raises
     ------
     OSError
-        If the file cannot be read, or is larger than ``max_bytes``.
+        If the file cannot be read, is a named pipe, or is larger than ``max_bytes``.
     """
-    with path.open("rb") as file:
+    with open_bytes(path) as file:
         # A device or a pipe says a size of 0.
         n_bytes = os.fstat(file.fileno()).st_size or max_bytes
         data = file.read(min(n_bytes, max_bytes) + 1)

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.lib import format as npy
 from numpy.typing import NDArray
 
+from slam_bof.core.files import open_bytes
+
 __all__ = ["open_npy", "parse_npy"]
 
 HEADERS = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}
@@ -45,7 +47,7 @@ def open_npy(path: Path) -> NDArray[Any]:
     ValueError
         As ``parse_npy``.
     """
-    with path.open("rb") as file:
+    with open_bytes(path) as file:
         shape, order, dtype = _read_header(file, path.stat().st_size)
         if not math.prod(shape):
             return np.empty(shape, dtype)

@@ -10,7 +10,7 @@ import hashlib
 import re
 from pathlib import Path
 
-from slam_bof.core import read_text
+from slam_bof.core import open_bytes, read_text
 from slam_bof.errors import DatasetError
 
 __all__ = ["check_sum", "record_sum"]
@@ -21,7 +21,7 @@ LINE = re.compile(r"([0-9a-fA-F]{64}) [ *](.+)")
 
 def check_sum(archive: Path) -> str:
     """Return the SHA-256 of an archive; ``DatasetError`` if another one is recorded."""
-    with archive.open("rb") as file:
+    with open_bytes(archive) as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()
     expected = _read_sums(archive.with_name(SUMS)).get(archive.name, found)
     if found != expected:

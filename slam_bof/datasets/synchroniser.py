@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import bisect
+import sys
 from collections import Counter, deque
 from dataclasses import dataclass
 from numbers import Real
@@ -215,5 +216,6 @@ class FramePoseSynchroniser:
 
 
 def _check_stamp(what: str, stamp_s: float) -> None:
-    if not isinstance(stamp_s, Real) or not -np.inf < stamp_s < np.inf:
+    is_number = isinstance(stamp_s, Real) and not isinstance(stamp_s, bool)
+    if not is_number or not abs(stamp_s) <= sys.float_info.max:
         raise ValueError(f"a {what}'s stamp must be finite, got {stamp_s!r:.40}")

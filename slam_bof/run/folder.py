@@ -136,7 +136,8 @@ def read_run(folder: Path) -> ReportData:
         found = "no metrics.json there" if folder.is_dir() else "no such folder"
         raise RunError(f"{folder}: found {found}, expected the folder of a finished run") from None
     except (OSError, ValueError, RecursionError) as error:
-        raise RunError(f"{metrics}: found {error}, expected the metrics of a run") from error
+        found = getattr(error, "strerror", None) or str(error)
+        raise RunError(f"{metrics}: found {found}, expected the metrics of a run") from error
     if not isinstance(figures, dict):
         raise RunError(f"{metrics}: found no object, expected the metrics of a run")
     for key, value in figures.items():

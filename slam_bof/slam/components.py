@@ -44,8 +44,8 @@ class MapComponents:
 
     def join(self, keyframe_id: int, other_id: int) -> None:
         """Join the components of two keyframes."""
-        joined = self._of_keyframe.rows[[keyframe_id, other_id]]
-        older, younger = int(joined.min()), int(joined.max())
+        rows = self._of_keyframe.rows
+        older, younger = sorted((int(rows[keyframe_id]), int(rows[other_id])))
         if older == younger:
             return
         for components in (self._of_keyframe, self._in_use):

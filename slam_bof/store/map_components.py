@@ -21,16 +21,20 @@ logger = logging.getLogger(__name__)
 def components_of(store: MapStore) -> NDArray[np.int64]:
     """Return the component (K,) of each keyframe, as the loops of the graph connect them."""
     with store.snapshot():
-        return join_rows(store.keyframe_rows(), store.loop_rows())
+        return join_rows(store, store.keyframe_rows())
 
 
-def join_rows(keyframes: Iterable[Any], loops: Iterable[Any]) -> NDArray[np.int64]:
-    """Return the component (K,) of each keyframe, given the rows of keyframes and loops."""
+def join_rows(store: MapStore, keyframes: Iterable[Any]) -> NDArray[np.int64]:
+    """Return the component (K,) of each keyframe, given the rows of all keyframes.
+
+    Loops are read only where there are several segments to join.
+    """
     components = MapComponents()
     for row in keyframes:
         components.add(row["segment"])
-    for row in loops:
-        components.join(row["query_id"], row["match_id"])
+    if len(components) > 1:
+        for row in store.loop_rows():
+            components.join(row["query_id"], row["match_id"])
     return components.of_keyframes()
 
 
@@ -56,7 +60,7 @@ def choose_component(
     """
     with store.snapshot():
         rows = store.keyframe_rows()
-        components = join_rows(rows, store.loop_rows())
+        components = join_rows(store, rows)
     wanted = np.array([session in (None, row["session"]) for row in rows], dtype=bool)
     known = np.unique(components[wanted]).tolist()
     chosen = largest_component(components[wanted]) if component is None else component

@@ -25,7 +25,6 @@ from slam_bof.store.row_codec import (
     decode_pose,
     decode_region,
     decode_scene,
-    decode_smoothed_scene,
     decode_view,
 )
 from slam_bof.store.schema import KEY_COLUMNS
@@ -33,6 +32,7 @@ from slam_bof.types import (
     Array,
     Candidate,
     DepthFrame,
+    EdgeKind,
     FramePose,
     Intrinsics,
     Keyframe,
@@ -73,6 +73,7 @@ class MapReader(MapDatabase):
     """Reads the keyframes, frames, loops, candidates, rooms and parameters of a map."""
 
     _classes: tuple[str, ...] | None = None
+    _camera: Intrinsics | None = None
     is_checked: bool = False
     """Whether all rows of the present snapshot were checked, so that readers need not do it."""
 
@@ -89,8 +90,10 @@ class MapReader(MapDatabase):
 
     def intrinsics(self) -> Intrinsics | None:
         """Return the depth camera that the map was made with, for full images, if known."""
-        camera = self.parameters().get("camera")
-        return None if camera is None else Intrinsics(**json.loads(camera))
+        if self._camera is None:  # once known, it stays
+            camera = self.parameters().get("camera")
+            self._camera = None if camera is None else Intrinsics(**json.loads(camera))
+        return self._camera
 
     def sessions(self) -> list[Session]:
         """Return the sessions of the map, in order."""
@@ -136,14 +139,13 @@ class MapReader(MapDatabase):
     def scene(self, row: Any) -> Scene | None:
         """Return the label of the image alone in a row of ``keyframes``, None if it has none."""
         classes = self.classes()
-        own, smoothed = decode_scene(row, classes), decode_smoothed_scene(row, classes)
-        for scene in (own, smoothed):
-            if scene is not None and len(scene.probabilities) != len(classes):
+        for probabilities in (row["probabilities"], row["smoothed_probabilities"]):
+            if probabilities is not None and len(probabilities) != 8 * len(classes):
                 raise self._damage(
-                    f"{len(scene.probabilities)} probabilities of keyframe {row['id']}",
+                    f"{len(probabilities) // 8} probabilities of keyframe {row['id']}",
                     f"one for each class: {', '.join(classes)}",
                 )
-        return own
+        return decode_scene(row, classes)
 
     def map_poses(self) -> Array:
         """Return T_map_camera of all keyframes, (K, 4, 4), NaN before their session is finished."""
@@ -192,10 +194,10 @@ class MapReader(MapDatabase):
         """Return all loops and covisibility edges of the graph, in the order they entered it."""
         return [decode_loop(row) for row in self.loop_rows()]
 
-    def loop_rows(self) -> list[Any]:
-        """Return the rows of ``candidates`` that ``loops`` decodes."""
-        tail = "WHERE decision = 'accepted' AND loop_id IS NOT NULL ORDER BY loop_id"
-        return self.candidate_rows(tail)
+    def loop_rows(self, *, covisibility: bool = True) -> list[Any]:
+        """Return the rows of ``candidates`` that ``loops`` decodes, maybe without covisibility."""
+        tail = "WHERE decision = 'accepted' AND loop_id IS NOT NULL AND (? OR kind <> ?)"
+        return self.candidate_rows(f"{tail} ORDER BY loop_id", covisibility, EdgeKind.COVISIBILITY)
 
     def candidates(self) -> list[Candidate]:
         """Return the audit trail, in the order it was written."""

@@ -118,6 +118,8 @@ def migrate(
     except BaseException:
         if db.in_transaction:
             db.execute("ROLLBACK")
+        if not in_place:
+            db.close()
         raise
     db.execute("PRAGMA legacy_alter_table = OFF")
     db.execute("PRAGMA foreign_keys = ON")

@@ -88,15 +88,13 @@ def find_redundant_keyframes(store: MapStore, *, distance_m: float, angle_rad: f
         are smaller than these, and both are in one component.
     """
     T_map_camera, components = store.map_poses(), components_of(store)
-    kept: list[int] = []
-    dropped: list[int] = []
+    is_kept = np.zeros(len(components), bool)
     for id_, T in enumerate(T_map_camera):
-        others = [k for k in kept if components[k] == components[id_]]
-        motions = se3.inverse(T_map_camera[others]) @ T
-        near = np.linalg.norm(motions[:, :3, 3], axis=1) < distance_m
-        near &= np.array(se3.rotation_angle(motions)) < angle_rad
-        (dropped if near.any() else kept).append(id_)
-    return dropped
+        distances_m = np.linalg.norm(T_map_camera[:id_, :3, 3] - T[:3, 3], axis=1)
+        is_near = is_kept[:id_] & (components[:id_] == components[id_]) & (distances_m < distance_m)
+        motions = se3.inverse(T_map_camera[:id_][is_near]) @ T
+        is_kept[id_] = not np.any(np.array(se3.rotation_angle(motions)) < angle_rad)
+    return np.flatnonzero(~is_kept).tolist()
 
 
 def drop_keyframes(db: sqlite3.Connection, dropped: Collection[int]) -> None:

@@ -125,8 +125,9 @@ def query_keyframes(
     """
     with store.snapshot():
         _check_scene(store, scene)
-        rows, loops = store.keyframe_rows(), store.loop_rows()
-        components = join_rows(rows, loops)
+        rows = store.keyframe_rows()
+        components = join_rows(store, rows)
+        loops = store.loop_rows(covisibility=False)
         n_loops = Counter(row["query_id"] for row in loops if row["kind"] == EdgeKind.LOOP)
         if keyframe_id is not None and not 0 <= keyframe_id < len(rows):
             raise MapError(
@@ -138,6 +139,7 @@ def query_keyframes(
         if component is not None or near_m is not None:
             inside = choose_component(store, component)
         first_frames = {session.id: session.first_frame for session in store.sessions()}
+        names = rows[0].keys() if rows else []  # looking them up in each row takes long
         records = [
             _keyframe_info(
                 store.scene(row),
@@ -148,7 +150,7 @@ def query_keyframes(
                 time_s=time_s,
                 near_m=near_m,
             )
-            for row in rows
+            for row in (dict(zip(names, values, strict=True)) for values in rows)
             if inside[row["id"]]
             and keyframe_id in (None, row["id"])
             and _has_label(row, scene, min_probability, labels)
@@ -194,7 +196,7 @@ def query_loops(
     with store.snapshot():
         rows = store.candidate_rows(tail, keyframe_id, keyframe_id, considered)
         keyframes = store.keyframe_rows()
-        components = join_rows(keyframes, store.loop_rows())
+        components = join_rows(store, keyframes)
     stamps_s = [row["stamp_s"] for row in keyframes]
     names = ("query_id", "match_id", "source", "decision", "reason", "score", "overlap", "rmse_m")
     records: list[LoopInfo] = []
@@ -271,5 +273,5 @@ def _keyframe_info(
 
 
 def _pose(row: Any, prefix: str) -> tuple[Position, Quaternion]:
-    tx, ty, tz, qx, qy, qz, qw = (row[prefix + name] for name in POSE_COLUMNS)
+    tx, ty, tz, qx, qy, qz, qw = [row[prefix + name] for name in POSE_COLUMNS]
     return (tx, ty, tz), (qx, qy, qz, qw)

@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import json
 import math
+import operator
 import sqlite3
 import struct
 from collections.abc import Callable
 from contextlib import closing
 from functools import cache
-from operator import itemgetter
 from typing import Any
-
-import numpy as np
 
 from slam_bof.bof import CONTOUR_BYTES
 from slam_bof.core import parse_npy
@@ -53,8 +51,8 @@ ODOM_COLUMNS, MAP_COLUMNS = (
 FRAME_POSES = ("T_odom_raw", "T_odom_camera", "T_view_camera")
 SCENE_COLUMNS = (("scene", "scene_probability", "probabilities"), tuple(SMOOTHED_COLUMNS)[:3])
 
-Row = tuple[Any, ...]
-"""The values of a row, in the order of its table's columns."""
+Row = dict[str, Any]
+"""The values of a row by the name of the column."""
 TYPES = {"INTEGER": (int,), "REAL": (float, int), "TEXT": (str,), "BLOB": (bytes,)}
 
 
@@ -74,31 +72,24 @@ def find_fault(table: str, row: Any) -> str:
     return ""
 
 
-def _check(table: str, row: Row) -> None:
+def _check(table: str, values: tuple[Any, ...]) -> None:
     """Raise ``_Fault`` for the first implausible value of an intact row."""
-    wrong, numbers, texts = _inspect_types(table, tuple(map(type, row)))
+    wrong, numbers, texts = _inspect_types(table, tuple(map(type, values)))
     _expect(not wrong, wrong)
-    for k in numbers:
-        if not -MAX_NUMBER < row[k] < MAX_NUMBER:
-            name = _columns(table)[k][0]
-            _expect(name in UNBOUNDED and not math.isnan(row[k]), name)
-    for k in texts:
-        if not (len(row[k]) < MAX_TEXT and _is_unicode(row[k])):
-            _expect(False, _columns(table)[k][0])
+    row = dict(zip(_names(table), values, strict=True))
+    found = [row[name] for name in numbers]
+    if max(found) >= MAX_NUMBER or min(found) <= -MAX_NUMBER:  # SQLite reads NaN as null
+        for name in numbers:
+            _expect(abs(row[name]) < MAX_NUMBER or name in UNBOUNDED, name)
+    for name in texts:
+        _expect(len(row[name]) < MAX_TEXT and _is_unicode(row[name]), name)
     CHECKS[table](row)
-
-
-@cache
-def _pick(table: str, *names: str) -> Callable[[Row], Any]:
-    """Return a function that picks columns from a row: the value of one, or those of several."""
-    columns = [name for name, *_ in _columns(table)]
-    return itemgetter(*map(columns.index, names))
 
 
 @cache
 def _inspect_types(
     table: str, types: tuple[type, ...]
-) -> tuple[str, tuple[int, ...], tuple[int, ...]]:
+) -> tuple[str, tuple[str, ...], tuple[str, ...]]:
     """Return the first column whose value has a wrong type, and which are numbers and texts.
 
     Rows of a table have few combinations of types, so that the answers are cached.
@@ -107,8 +98,14 @@ def _inspect_types(
     for (name, declared, is_required), found in zip(_columns(table), types, strict=True):
         if found not in TYPES[declared] and (is_required or found is not type(None)):
             wrong = wrong or name
-    numbers = tuple(k for k, kind in enumerate(types) if kind in (int, float))
-    return wrong, numbers, tuple(k for k, kind in enumerate(types) if kind is str)
+    kinds = list(zip(_names(table), types, strict=True))
+    numbers = tuple(name for name, kind in kinds if kind in (int, float))
+    return wrong, numbers, tuple(name for name, kind in kinds if kind is str)
+
+
+@cache
+def _names(table: str) -> tuple[str, ...]:
+    return tuple(name for name, *_ in _columns(table))
 
 
 @cache
@@ -121,53 +118,45 @@ def _columns(table: str) -> list[tuple[str, str, bool]]:
 
 
 def _check_keyframe(row: Row) -> None:
-    counts = _pick("keyframes", "id", "session", "frame_index", "segment")(row)
-    _expect(min(counts) >= 0, "id")
-    _expect(counts[1] < MAX_SESSIONS, "session")
-    _check_pose(_pick("keyframes", *ODOM_COLUMNS)(row), "odom_")
-    T_map_camera = _pick("keyframes", *MAP_COLUMNS)(row)
+    _expect(min(row["id"], row["session"], row["frame_index"], row["segment"]) >= 0, "id")
+    _expect(row["session"] < MAX_SESSIONS, "session")
+    _check_pose([row[name] for name in ODOM_COLUMNS], "odom_")
+    T_map_camera = [row[name] for name in MAP_COLUMNS]
     if _is_given(T_map_camera, MAP_COLUMNS[0]):
         _check_pose(T_map_camera, "map_")
     for columns in SCENE_COLUMNS:
-        scene = _pick("keyframes", *columns)(row)
+        scene = [row[name] for name in columns]
         if _is_given(scene, columns[0]):
             _, probability, blob = scene
             _check_probability(probability, columns[1])
-            n, rest = divmod(len(blob), 8)
-            _expect(n > 0 and not rest, columns[2])
-            probabilities = struct.unpack(f"<{n}d", blob)  # few: faster than an array
+            probabilities = _unpack(blob, "d", columns[2])
             is_one = abs(sum(probabilities) - 1.0) < SUM_TOLERANCE  # also: none is NaN
             _expect(is_one and min(probabilities) >= 0.0, columns[2])
-    blobs = _pick("keyframes", "words", "weights")(row)
-    _expect(len(blobs[0]) == len(blobs[1]) and len(blobs[0]) % 4 == 0, "words")
-    words, weights = np.frombuffer(blobs[0], "<i4"), np.frombuffer(blobs[1], "<f4")
-    if words.size:
-        _expect(words[0] >= 0 and (words[1:] > words[:-1]).all(), "words")
-        _expect(weights.min() >= 0.0 and weights.max() < math.inf, "weights")
+    words, weights = _unpack(row["words"], "i", "words"), _unpack(row["weights"], "f", "weights")
+    _expect(len(words) == len(weights), "words")
+    if words:
+        _expect(words[0] >= 0 and all(map(operator.lt, words, words[1:])), "words")
+        _expect(min(weights) >= 0.0 and sum(weights) < math.inf, "weights")  # also: none is NaN
 
 
 def _check_view(row: Row) -> None:
-    keyframe_id, per_m, depth = _pick("views", "keyframe_id", "per_m", "depth")(row)
-    _expect(keyframe_id >= 0, "keyframe_id")
-    _expect(1 <= per_m <= 65535, "per_m")
-    _expect(isinstance(depth, bytes), "depth")
+    _expect(row["keyframe_id"] >= 0, "keyframe_id")
+    _expect(1 <= row["per_m"] <= 65535, "per_m")
 
 
 def _check_constellation(row: Row) -> None:
-    names = ("keyframe_id", "gravity", "contours", "weight")
-    keyframe_id, gravity, contours, weight = _pick("constellations", *names)(row)
-    _expect(keyframe_id >= 0, "keyframe_id")
-    _expect(len(gravity) == DIRECTION.size, "gravity")
-    square = sum(value * value for value in DIRECTION.unpack(gravity))
+    _expect(row["keyframe_id"] >= 0, "keyframe_id")
+    _expect(len(row["gravity"]) == DIRECTION.size, "gravity")
+    square = sum(value * value for value in DIRECTION.unpack(row["gravity"]))
     _expect(abs(square - 1.0) < SUM_TOLERANCE, "gravity")
-    _expect(len(contours) % CONTOUR_BYTES == 0, "contours")
-    _expect(weight >= 0.0, "weight")
+    _expect(len(row["contours"]) % CONTOUR_BYTES == 0, "contours")
+    _expect(row["weight"] >= 0.0, "weight")
 
 
 def _check_frame(row: Row) -> None:
-    session, frame_index, segment = _pick("frames", "session", "frame_index", "segment")(row)
-    _expect(session >= 0 and frame_index >= 0 and segment >= -1, "segment")
-    for name, blob in zip(FRAME_POSES, _pick("frames", *FRAME_POSES)(row), strict=True):
+    _expect(min(row["session"], row["frame_index"], row["segment"] + 1) >= 0, "segment")
+    for name in FRAME_POSES:
+        blob = row[name]
         if blob is None:
             continue
         pose, more = blob[:POSE_BYTES], blob[POSE_BYTES:]
@@ -178,25 +167,21 @@ def _check_frame(row: Row) -> None:
 
 
 def _check_candidate(row: Row) -> None:
-    query_id, match_id, n = _pick("candidates", "query_id", "match_id", "n_consistent")(row)
-    _expect(query_id >= 0 and match_id >= 0 and n >= 0, "query_id")
-    source, kind, decision = _pick("candidates", "source", "kind", "decision")(row)
-    _expect(source in SOURCES, "source")
-    _expect(kind in KINDS, "kind")
-    _expect(decision in DECISIONS, "decision")
-    loop_id, admitted_by = _pick("candidates", "loop_id", "admitted_by")(row)
-    edge = _pick("candidates", *EDGE_COLUMNS)(row)
+    _expect(min(row["query_id"], row["match_id"], row["n_consistent"]) >= 0, "query_id")
+    _expect(row["source"] in SOURCES, "source")
+    _expect(row["kind"] in KINDS, "kind")
+    _expect(row["decision"] in DECISIONS, "decision")
+    edge = [row[name] for name in EDGE_COLUMNS]
     if _is_given(edge, EDGE_COLUMNS[0]):
         _check_pose(edge[:-1], "")
         _check_matrix(edge[-1], "information")
     else:
-        _expect(loop_id is None, "loop_id")
-    _expect((loop_id is None) == (admitted_by is None), "admitted_by")
+        _expect(row["loop_id"] is None, "loop_id")
+    _expect((row["loop_id"] is None) == (row["admitted_by"] is None), "admitted_by")
 
 
 def _check_culled(row: Row) -> None:
-    keyframe, anchor, culled_by = _pick("culled", "keyframe_id", "anchor_id", "culled_by")(row)
-    _expect(0 <= anchor < keyframe < culled_by, "anchor_id")
+    _expect(0 <= row["anchor_id"] < row["keyframe_id"] < row["culled_by"], "anchor_id")
 
 
 def _check_odometry(row: Row) -> None:
@@ -213,22 +198,19 @@ def _check_odometry(row: Row) -> None:
 
 
 def _check_region(row: Row) -> None:
-    id_, n_keyframes, probability = _pick("regions", "id", "n_keyframes", "probability")(row)
-    _check_probability(probability, "probability")
-    _expect(min(id_, n_keyframes) >= 0, "n_keyframes")
+    _check_probability(row["probability"], "probability")
+    _expect(min(row["id"], row["n_keyframes"]) >= 0, "n_keyframes")
 
 
 def _check_session(row: Row) -> None:
-    names = ("id", "seed", "max_frames", "state")
-    id_, seed, max_frames, state = _pick("sessions", *names)(row)
-    _expect(0 <= id_ < MAX_SESSIONS and seed >= 0, "id")
-    _expect(max_frames is None or max_frames > 0, "max_frames")
-    if state is not None:
-        _expect(isinstance(_json(state, "state"), dict), "state")
+    _expect(0 <= row["id"] < MAX_SESSIONS and row["seed"] >= 0, "id")
+    _expect(row["max_frames"] is None or row["max_frames"] > 0, "max_frames")
+    if row["state"] is not None:
+        _expect(isinstance(_json(row["state"], "state"), dict), "state")
 
 
 def _check_parameter(row: Row) -> None:
-    key, value = _pick("parameters", "key", "value")(row)
+    key, value = row["key"], row["value"]
     if key == "camera":
         camera = _json(value, key)
         try:
@@ -266,7 +248,7 @@ CHECKS: dict[str, Callable[[Row], None]] = {
 SOURCES, KINDS, DECISIONS = (frozenset(map(str, e)) for e in (CandidateSource, EdgeKind, Decision))
 
 
-def _expect(condition: bool | np.bool_, name: str) -> None:
+def _expect(condition: bool, name: str) -> None:
     if not condition:
         raise _Fault(f"has no plausible {name}")
 
@@ -279,14 +261,14 @@ def _is_unicode(text: str) -> bool:
     return True
 
 
-def _is_given(values: Row, name: str) -> bool:
+def _is_given(values: list[Any], name: str) -> bool:
     """Return whether columns have values, all of them or none."""
     n_missing = values.count(None)
     _expect(n_missing in (0, len(values)), name)
     return n_missing == 0
 
 
-def _check_pose(pose: Row, prefix: str) -> None:
+def _check_pose(pose: list[float], prefix: str) -> None:
     tx, ty, tz, qx, qy, qz, qw = pose
     _expect(max(abs(tx), abs(ty), abs(tz)) < se3.MAX_POSITION_M, f"{prefix}tx")
     square = qx * qx + qy * qy + qz * qz + qw * qw
@@ -319,6 +301,13 @@ def _check_matrix(blob: bytes, name: str) -> None:
     _expect(len(blob) == MATRIX_BYTES, name)
     matrix = MATRIX.unpack(blob)
     _expect(-MAX_NUMBER < sum(matrix) < MAX_NUMBER and min(matrix[::7]) >= 0.0, name)
+
+
+def _unpack(blob: bytes, kind: str, name: str) -> tuple[Any, ...]:
+    """Return the few numbers in a blob; an array of them would take longer."""
+    n, rest = divmod(len(blob), struct.calcsize(kind))
+    _expect(not rest, name)
+    return struct.unpack(f"<{n}{kind}", blob)
 
 
 def _json(text: str, name: str) -> Any:

@@ -177,9 +177,14 @@ class DepthFrame:
     )
 
     def __post_init__(self) -> None:
-        """Check shape and type once, when the frame is made."""
-        if not isinstance(self.stamp_s, Real):
-            raise ValueError(f"stamp_s must be a number of seconds, got {self.stamp_s!r:.40}")
+        """Check shape and type once, when the frame is made; the time becomes a plain float."""
+        try:
+            if isinstance(self.stamp_s, bool) or not isinstance(self.stamp_s, Real):
+                raise TypeError
+            object.__setattr__(self, "stamp_s", float(self.stamp_s))
+        except (TypeError, OverflowError):  # an integer of hundreds of digits is no float
+            got = f"{self.stamp_s!r:.40}"
+            raise ValueError(f"stamp_s must be a number of seconds, got {got}") from None
         if not isinstance(self.depth, np.ndarray):
             raise ValueError(f"depth must be a NumPy array, got a {type(self.depth).__name__}")
         expected = (self.intrinsics.height, self.intrinsics.width)

@@ -244,6 +244,19 @@ def of_another_length(folder):
     np.save(path, np.load(path)[:-1])
 
 
+def replace_by_pipe(path):
+    path.unlink()
+    os.mkfifo(path)
+
+
+def pipe_as_manifest(folder):
+    replace_by_pipe(folder / "atlas.json")
+
+
+def pipe_as_column(folder):
+    replace_by_pipe(next(folder.glob("segment-*")) / "keys.npy")
+
+
 def out_of_range(folder):
     path = next(folder.glob("segment-*")) / "starts.npy"
     starts = np.load(path)
@@ -262,6 +275,8 @@ def out_of_range(folder):
         (of_another_type, r"views\.npy: found an array \(\d+,\) of int64, expected int32"),
         (of_another_length, r"found columns of other lengths, expected \d+ keyframes"),
         (out_of_range, r"found columns of other lengths"),
+        (pipe_as_manifest, r"atlas\.json: cannot be read: a named pipe"),
+        (pipe_as_column, r"keys\.npy: cannot be read: a named pipe"),
     ],
 )
 def test_damage_is_named_in_one_line(folder, damage, message):

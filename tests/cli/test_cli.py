@@ -80,6 +80,23 @@ def test_a_run_is_recorded_for_the_viewer_with_the_map_at_its_end(
     assert len(rows["/time/frame_ms"]) == N_FRAMES
 
 
+@pytest.mark.parametrize("options", [[], ["--color"]])
+def test_colour_of_the_data_set_is_kept_if_asked(
+    room: Path, model_file: Path, tmp_path: Path, options: list[str]
+) -> None:
+    sequence = tmp_path / "box" / "seq-01"
+    sequence.mkdir(parents=True)
+    for file in sorted(room.glob("frame-*"))[:4]:
+        shutil.copy(file, sequence)
+    for depth in sequence.glob("*.depth.png"):
+        color = np.full((CAMERA.height, CAMERA.width, 3), 200, np.uint8)
+        cv2.imwrite(str(depth).replace("depth", "color"), color)
+    arguments = ["-o", tmp_path, "--model", model_file, "--quiet", *options]
+    assert slam_bof("run", sequence, *arguments).exit_code == 0
+    header = (tmp_path / "latest" / "map.ply").read_bytes()[:400]
+    assert (b"property uchar red" in header) == bool(options)
+
+
 def test_options_outrank_the_configuration(
     room: Path, model_file: Path, finished: Path, tmp_path: Path
 ) -> None:

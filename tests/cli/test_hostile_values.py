@@ -115,3 +115,26 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "caf\\udce9.db" in done.stdout
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run", "seq", "--config"],
+        ["run", "seq", "--model"],
+        ["run"],
+        ["query", "keyframes"],
+        ["show", "--out", "page.svg"],
+    ],
+)
+def test_a_named_pipe_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    os.mkfifo("pipe.yaml")
+    Path("seq").mkdir()
+    cv2.imwrite("seq/frame-000000.depth.png", box_room_depth_mm(CAMERA, np.eye(4)))
+    result = CliRunner().invoke(app, [*command, "pipe.yaml"])
+    assert result.exit_code == 1, result.output
+    assert "pipe.yaml" in result.stderr.splitlines()[-1]

@@ -48,6 +48,17 @@ def test_a_device_without_end_is_refused() -> None:
         read_bytes(Path("/dev/zero"), 5000)
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")
+def test_a_named_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.yaml"
+    os.mkfifo(pipe)
+    (tmp_path / "link.yaml").symlink_to(pipe)
+    for path in (pipe, tmp_path / "link.yaml"):
+        with pytest.raises(OSError, match="a named pipe") as caught:
+            read_text(path)
+        assert caught.value.filename == str(path)
+
+
 @pytest.mark.skipif(not Path("/dev/fd").exists(), reason="no /dev/fd")
 def test_a_pipe_is_read() -> None:
     reading, writing = os.pipe()

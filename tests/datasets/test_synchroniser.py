@@ -121,7 +121,17 @@ def test_poses_that_are_none_are_refused():
     pairing = FramePoseSynchroniser()
     with pytest.raises(ValueError, match="no rotation"):
         pairing.add_pose(0.0, np.diag([2.0, 2.0, 2.0, 1.0]))
-    for stamp_s in (np.nan, -np.inf, "1.0", None, [], 1j, np.datetime64("2026-01-01")):
+    for stamp_s in (
+        np.nan,
+        -np.inf,
+        "1.0",
+        None,
+        [],
+        1j,
+        np.datetime64("2026-01-01"),
+        True,
+        10**400,
+    ):
         with pytest.raises(ValueError, match="a pose's stamp must be finite"):
             pairing.add_pose(stamp_s, np.eye(4))
     for T in (np.eye(4)[:3], 1j * np.eye(4), "here", None):

@@ -189,6 +189,11 @@ def test_a_pipe_is_no_bag_and_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "toy.bag")
     assert "found something else, expected a ROS 1 bag" in refusal("bag", tmp_path / "toy.bag")
     assert "expected the folder of a sequence" in refusal("auto", tmp_path / "toy.bag")
+    bag = write(tmp_path, "mcap")
+    part = next(bag.glob("*.mcap"))
+    part.unlink()
+    os.mkfifo(part)
+    assert f"{part}: found a named pipe" in refusal("bag", bag)
 
 
 # Damage

@@ -21,6 +21,7 @@ from slam_bof.slam import preset
 from slam_bof.slam.config import override
 from slam_bof.store import MapStore
 from slam_bof.types import DepthFrame, Scene, Trajectory
+from slam_bof_plugins.backend_gtsam import GtsamBackend
 
 
 class BoxRoom:
@@ -91,14 +92,17 @@ def test_a_failure_at_the_end_leaves_everything_else(monkeypatch, tmp_path):
 
     monkeypatch.setattr("slam_bof.maps.map_session.label_map", fail)
     monkeypatch.setattr("slam_bof.run.outputs.write_report", fail)
+    monkeypatch.setattr("slam_bof.run.outputs.write_sequence_cloud", fail)
+    monkeypatch.setattr(GtsamBackend, "write_g2o", fail)
     folder = run(tmp_path)
     with MapStore.open(folder / "map.db") as store:
         assert store.sessions()[0].is_finished
         assert all(keyframe.smoothed for keyframe in store.keyframes())
     assert json.loads((folder / "metrics.json").read_text())["n_regions"] == 0
-    assert (folder / "map.ply").exists()
+    assert (folder / "loops.csv").exists()
+    assert len(read_tum(folder / "trajectory_optimized_tum.txt")) == 20
     log = (folder / "run.log").read_text()
-    for result in ("rooms and smoothed labels", "report.html"):
+    for result in ("rooms and smoothed labels", "pose_graph.g2o", "map.ply", "report.html"):
         assert f"{result} could not be computed and is left out" in log
 
 

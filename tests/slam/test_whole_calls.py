@@ -252,6 +252,8 @@ def test_poses_are_copied(walk):
     [
         ("0.5", np.ones((2, 2)), "stamp_s must be a number of seconds, got '0.5'"),
         (None, np.ones((2, 2)), "stamp_s must be a number of seconds, got None"),
+        (True, np.ones((2, 2)), "stamp_s must be a number of seconds, got True"),
+        (10**400, np.ones((2, 2)), "stamp_s must be a number of seconds, got 1000"),
         (0.5, [[1.0, 1.0], [1.0, 1.0]], "depth must be a NumPy array, got a list"),
         (0.5, np.ones((0, 0)), r"depth must be \(2, 2\)"),
     ],

@@ -11,6 +11,7 @@ from slam_bof.errors import MapError
 from slam_bof.geometry import se3
 from slam_bof.scenes import MapRoom
 from slam_bof.store import MapStore, SessionResult, query_keyframes, query_loops, query_rooms
+from slam_bof.store.sqlite import update_checksums
 from slam_bof.types import Bag, CandidateSource, EdgeKind, Keyframe, Loop, Scene
 
 CLASSES = ("kitchen", "office")
@@ -29,6 +30,7 @@ def store(tmp_path: Path) -> Iterator[MapStore]:
                 2: [Loop(2, 0, np.eye(4), np.eye(6), EdgeKind.LOOP, CandidateSource.BAG)],
                 3: [
                     Loop(3, 0, T, np.eye(6), EdgeKind.LOOP, CandidateSource.PROXIMITY),
+                    Loop(3, 1, T, np.eye(6), EdgeKind.PARTIAL, CandidateSource.PROXIMITY),
                     Loop(3, 2, T, np.eye(6), EdgeKind.COVISIBILITY, CandidateSource.PROXIMITY),
                 ],
             }
@@ -140,6 +142,25 @@ def test_loops_without_covisibility(store: MapStore) -> None:
     assert (record.query_stamp_s, record.match_stamp_s, record.source) == (102.0, 100.0, "bag")
     assert len(query_loops(store, keyframe_id=0)) == 2
     assert query_loops(store, keyframe_id=1) == []
+
+
+def test_a_damaged_edge_is_named_if_the_answer_needs_it(store: MapStore) -> None:
+    with store.transaction() as db:
+        db.execute("UPDATE candidates SET query_id = 2 WHERE kind = 'covisibility'")
+    assert [record.n_loops for record in query_keyframes(store)] == [0, 0, 1, 1]
+    with store.transaction() as db:  # now that edge may join two components
+        db.execute("UPDATE keyframes SET segment = 1 WHERE id = 3")
+        update_checksums(db, "keyframes")
+    with pytest.raises(MapError, match="damaged row of candidates, 4"):
+        query_keyframes(store)
+
+
+@pytest.mark.parametrize("change", ["kind = 'lopp'", "query_id = 1", "match_id = 1"])
+def test_a_damaged_loop_is_never_counted(store: MapStore, change: str) -> None:
+    with store.transaction() as db:
+        db.execute(f"UPDATE candidates SET {change} WHERE kind = 'loop' AND query_id = 2")
+    with pytest.raises(MapError, match="damaged row of candidates, 1"):
+        query_keyframes(store)
 
 
 def test_records_turn_into_json(store: MapStore) -> None:
