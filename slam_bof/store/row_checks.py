@@ -185,16 +185,16 @@ def _check_culled(row: Row) -> None:
 
 
 def _check_odometry(row: Row) -> None:
-    name, session, frame_index, value = row[:4]
+    name = row["name"]
     _expect(name == SKIPPED or name.startswith(STATE), "name")
-    _expect(0 <= session < MAX_SESSIONS and frame_index >= 0, "frame_index")
+    _expect(0 <= row["session"] < MAX_SESSIONS and row["frame_index"] >= 0, "frame_index")
     try:
-        array = parse_npy(value)
+        array = parse_npy(row["value"])
     except ValueError:
         raise _Fault("has no plausible value") from None
     _expect(array.dtype.kind in "biuf", "value")
     if name == SKIPPED:
-        _expect(array.dtype == np.int64 and array.ndim == 1, "value")
+        _expect(array.dtype == "int64" and array.ndim == 1, "value")
 
 
 def _check_region(row: Row) -> None:
