@@ -118,12 +118,12 @@ class RecordedOdometry:
         self._holds = False
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Return the number of frames, whether a pose holds, and the first and the last pose."""
-        first = np.empty((0, 4, 4)) if self._T_first_world is None else self._T_first_world[None]
+        """Return the number of frames, whether a pose holds, the world's pose and the last one."""
+        worlds = np.empty((0, 4, 4)) if self._T_odom_world is None else self._T_odom_world[None]
         return {
             "n_frames": np.array(self._n_frames),
             "holds": np.array(self._holds),
-            "T_first_world": first,
+            "T_odom_world": worlds,
             "T_odom_camera": self._T_odom_camera.copy(),
         }
 
@@ -131,12 +131,12 @@ class RecordedOdometry:
         """Continue from a state of ``state``; ``ValueError`` if it is none."""
         try:
             n_frames, holds = int(state["n_frames"]), bool(state["holds"])
-            first = [se3.checked_pose(T) for T in state["T_first_world"]]
+            worlds = [se3.checked_pose(T) for T in state["T_odom_world"]]
             T_odom_camera = se3.checked_pose(state["T_odom_camera"])
         except (KeyError, TypeError, OverflowError) as error:
             raise ValueError(f"found no state of recorded odometry ({error})") from None
         self._n_frames, self._holds = n_frames, holds
-        self._T_first_world = first[0] if first else None
+        self._T_odom_world = worlds[0] if worlds else None
         self._T_odom_camera = T_odom_camera
 
     def process(self, frame: DepthFrame) -> Pose:
