@@ -83,7 +83,9 @@ class RerunRecording:
         """Lay out the viewer: spaces to the left, and beside them depth, texts and time series."""
         from rerun import blueprint as layout
 
-        texts = [layout.TextLogView(origin=f"/{name}", name=name) for name in ("loops", "scene")]
+        texts: list[Any] = [
+            layout.TextLogView(origin=f"/{name}", name=name) for name in ("loops", "scene")
+        ]
         if not series:  # of a saved map, which has a page of each keyframe
             texts.insert(0, layout.TextDocumentView(origin="/keyframe", name="keyframe"))
         beside = layout.Vertical(
