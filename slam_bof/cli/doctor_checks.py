@@ -39,6 +39,7 @@ def examine() -> list[Finding]:
         _libusb(),
         _attempt("Open3D import", _open3d, REINSTALL),
         _attempt("Default model", _model, REINSTALL),
+        _compiled(),
         _threads(),
         _disk(),
     ]
@@ -98,6 +99,15 @@ def _model() -> str:
     from slam_bof.scenes import model
 
     return f"hash {model.resolve().content_hash[:12]}"
+
+
+def _compiled() -> Finding:
+    from slam_bof.geometry import compile_alignment
+
+    if folder := compile_alignment():
+        return Finding("Compiled code", True, f"kept in {folder}")
+    remedy = "set NUMBA_CACHE_DIR to a folder that can be written"
+    return Finding("Compiled code", False, "not kept: every run compiles for 20 s", remedy)
 
 
 def _threads() -> Finding:

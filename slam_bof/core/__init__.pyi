@@ -8,7 +8,10 @@ from .checkpoint import (
     Restorable as Restorable,
 )
 from .cluster import on_cluster as on_cluster
-from .compilation import compiled as compiled
+from .compilation import (
+    compiled as compiled,
+    find_kept as find_kept,
+)
 from .failures import keep_going as keep_going
 from .file_lock import lock_file as lock_file
 from .files import (

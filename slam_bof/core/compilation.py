@@ -7,7 +7,7 @@ from typing import ParamSpec, TypeVar, cast
 
 import numba
 
-__all__ = ["compiled"]
+__all__ = ["compiled", "find_kept"]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -26,3 +26,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     except RuntimeError:  # no place to keep it
         found = numba.njit(function, nogil=True, error_model="numpy")
     return cast(Callable[P, R], found)
+
+
+def find_kept(function: Callable[..., object]) -> str:
+    """Return the folder in which the code of a compiled function is kept, empty if in none."""
+    stats = getattr(function, "stats", None)  # none where NUMBA_DISABLE_JIT is set
+    return str(getattr(stats, "cache_path", None) or "")

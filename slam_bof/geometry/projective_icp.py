@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from slam_bof.core import find_kept
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView, make_view
 from slam_bof.geometry.icp_step import associate, refine
@@ -256,8 +257,11 @@ class ViewAligner:
 
 
 @cache
-def compile_alignment() -> None:
-    """Compile alignment, or load it from the disk, before a first frame would wait for it."""
+def compile_alignment() -> str:
+    """Compile alignment, or load it from the disk, before a first frame would wait for it.
+
+    Returns the folder in which the code is kept, empty if every process compiles anew.
+    """
     aligner = ViewAligner(AlignmentParams())
     camera = Intrinsics(32, 24, 28.0, 28.0, 15.5, 11.5)
     wall = DepthFrame(0.0, np.full((camera.height, camera.width), 2.0, np.float32), camera)
@@ -268,6 +272,7 @@ def compile_alignment() -> None:
     aligner.agreement(1, matches, T)
     aligner.agreement_score(1, matches, T)
     aligner.surface_pairs(1, matches, T)
+    return find_kept(refine)
 
 
 def _random_motions(params: AlignmentParams, seed: int) -> list[Array]:

@@ -64,6 +64,7 @@ def test_doctor_looks_over_the_installation() -> None:
     assert found["numpy"]["found"] == np.__version__
     assert found["Open3D import"]["ok"]
     assert found["libusb"]["ok"]
+    assert found["Compiled code"]["found"].endswith("__pycache__")
     assert "Disk space here" in found
     assert all(item["remedy"] for item in found.values() if not item["ok"])
     assert result.exit_code == (0 if all(item["ok"] for item in found.values()) else 1)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam_bof.core import compiled
+from slam_bof.core import compiled, find_kept
 
 SOURCE = """
 from slam_bof.core import compiled
@@ -43,12 +43,14 @@ def test_a_function_without_a_file_is_compiled_without_being_kept():
     names = {}
     exec(SOURCE, names)
     assert names["total"](np.array([1.0, 2.0])) == 3.0
+    assert find_kept(names["total"]) == ""
 
 
 def test_code_is_kept_for_the_next_process(tmp_path: Path):
     (tmp_path / "sums.py").write_text(SOURCE)
     program = (
-        "import numpy as np, sums; print(sums.total(np.ones(5)), dict(sums.total.stats.cache_hits))"
+        "import numpy as np, sums; from slam_bof.core import find_kept; "
+        "print(sums.total(np.ones(5)), dict(sums.total.stats.cache_hits), find_kept(sums.total))"
     )
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
 
@@ -59,8 +61,11 @@ def test_code_is_kept_for_the_next_process(tmp_path: Path):
         )
         return done.stdout
 
-    assert run() == "5.0 {}\n"
-    assert run().startswith("5.0 {(Array(float64")
+    kept_in = str(tmp_path / "cache")
+    assert run().startswith(f"5.0 {{}} {kept_in}")
+    again = run()
+    assert again.startswith("5.0 {(Array(float64")
+    assert kept_in in again
 
 
 @pytest.mark.parametrize("name", ["project", "interpolated_depth"])
