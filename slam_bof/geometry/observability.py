@@ -14,7 +14,7 @@ import numpy as np
 
 from slam_bof.core import compiled
 from slam_bof.geometry import se3
-from slam_bof.geometry.icp_step import fill_derivative
+from slam_bof.geometry.point_to_plane import fill_derivative
 from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.types import Array, Pose
 

@@ -18,7 +18,7 @@ from pydantic import Field
 from slam_bof.core import find_kept
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView, make_view
-from slam_bof.geometry.icp_step import associate, refine
+from slam_bof.geometry.point_to_plane import associate, refine
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
     Agreement,
