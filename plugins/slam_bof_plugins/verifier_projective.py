@@ -105,6 +105,7 @@ class ProjectiveVerifier:
                 pairs[k].points_query,
                 pairs[k].normals_query,
                 pairs[k].residuals_m,
+                facing_query=pairs[k].facing_query,
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
                 reason_against=_reason_against(float(free_space_violation[k]), limit),

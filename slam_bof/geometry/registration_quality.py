@@ -31,9 +31,10 @@ class RegistrationQualityParams(Params):
         description="Largest root mean square of point-to-plane residuals, in m.",
     )
     min_stiffness: float = Field(
-        0.0007,
+        0.0005,
         ge=0,
-        description="Smallest eigenvalue of the information for each point.",
+        description="Smallest eigenvalue of the information for each point, in m^2 and rad^2; the "
+        "noise of normals does not count where those of both views are known.",
     )
 
 
@@ -44,6 +45,7 @@ def assess_registration(
     normals_query: Array,
     residuals_m: Array,
     *,
+    facing_query: Array | None = None,
     overlap: float,
     guessed: bool,
     reason_against: str = "",
@@ -61,6 +63,9 @@ def assess_registration(
         that they lie on.
     residuals_m
         (M,) from point to surface, along the normal.
+    facing_query
+        (M, 3) normals of the query's own surfaces there, if they are known. Their noise is
+        independent of that of the match's, so that it does not count as stiffness.
     overlap
         Share of the query's points that are inliers in the match.
     guessed
@@ -73,7 +78,9 @@ def assess_registration(
     rmse_m = float(np.sqrt(np.mean(residuals_m**2)))
     jacobian = np.hstack([np.cross(points_query, normals_query), normals_query])
     information = jacobian.T @ jacobian
-    stiffness = float(np.linalg.eigvalsh(information)[0]) / len(residuals_m)
+    facing = normals_query if facing_query is None else facing_query
+    cross = np.hstack([np.cross(points_query, facing), facing]).T @ jacobian
+    stiffness = float(np.linalg.eigvalsh(0.5 * (cross + cross.T))[0]) / len(residuals_m)
     min_overlap = params.min_overlap if guessed else params.min_overlap_global
     reason = ""
     if overlap < min_overlap:

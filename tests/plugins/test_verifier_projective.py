@@ -63,6 +63,20 @@ def test_a_bare_wall_is_degenerate():
     assert np.linalg.matrix_rank(verified.information, tol=1e-3) == 3
 
 
+def test_a_bare_wall_is_degenerate_however_much_noise_its_normals_have():
+    random = np.random.default_rng(0)
+    walls = [
+        DepthFrame(0.0, (2.0 + 0.01 * random.standard_normal((120, 160))).astype("f4"), CAMERA)
+        for _ in range(2)
+    ]
+    verifier = ProjectiveVerifier()
+    query, match = prepare(verifier, *walls)
+    (pairs,) = verifier._aligner.surface_pairs(query, np.array([match]), np.eye(4)[None])
+    J = np.hstack([np.cross(pairs.points_query, pairs.normals_query), pairs.normals_query])
+    assert np.linalg.eigvalsh(J.T @ J / len(J))[0] > 10 * verifier.params.min_stiffness
+    assert verify(verifier, query, match, np.eye(4)).reason.startswith("degenerate: stiffness")
+
+
 def test_information_is_that_of_the_query_s_frame():
     """Before a bare wall a query knows how far that is and how it leans, and nothing else."""
     wall = DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), CAMERA)
