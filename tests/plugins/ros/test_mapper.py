@@ -30,6 +30,7 @@ def made(tmp_path: Path, walk: list[tuple[DepthFrame, Pose]]) -> Path:
     for frame, T in walk[:20]:
         mapper.process(posed(frame, T))
     assert mapper.is_located
+    mapper.closer.drain()  # so that all keyframes are saved
     outline = mapper.outline()
     assert len(outline) == len(outline.T_map_camera) == len(outline.labels) > 4
     grid = mapper.occupancy(outline, 5)
