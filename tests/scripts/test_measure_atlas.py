@@ -33,7 +33,9 @@ def test_the_table_counts_what_is_found_among_distractors(script, write_turn, tm
     assert among["keyframes"] == alone["keyframes"] + 80
     for row in (alone, among):
         assert (row["queries"], row["near"], row["wrong"]) == (2, 2, 0)
-        assert row["first"] == row["three"] == row["answered"] == 1.0
+        assert row["answered"] == row["three"] >= row["first"]
+    assert alone["first"] == alone["answered"] == 1.0
+    assert among["first"] >= 0.5  # one of the distractors is much like the other query
     assert 0 < alone["gb"] < among["gb"]
 
 
