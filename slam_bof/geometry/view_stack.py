@@ -132,15 +132,15 @@ class ViewStack:
         assert self._camera is not None
         camera = self._camera
         return ViewArrays(
-            self._depths_m.rows,
-            self._normals.rows,
-            self._rays,
-            camera.width,
-            camera.height,
-            camera.fx,
-            camera.fy,
-            camera.cx,
-            camera.cy,
+            depths_m=self._depths_m.rows,
+            normals=self._normals.rows,
+            rays=self._rays,
+            width=camera.width,
+            height=camera.height,
+            fx=camera.fx,
+            fy=camera.fy,
+            cx=camera.cx,
+            cy=camera.cy,
         )
 
     def rows(self, views: int | Indices) -> Indices:

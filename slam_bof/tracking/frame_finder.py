@@ -277,10 +277,10 @@ class FrameFinder:
         found = self._aligner.agreement(FRAME, np.array([view_id]), T_view_frame[None])
         inlier_ratio, visible_ratio = float(found.inlier_ratio[0]), float(found.visible_ratio[0])
         return _Registration(
-            view_id,
-            T_view_frame,
-            T_odom_view @ T_view_frame,
-            inlier_ratio / max(visible_ratio, 1e-9),
-            visible_ratio,
-            float(found.free_space_violation[0]),
+            view_id=view_id,
+            T_view_frame=T_view_frame,
+            T_odom_frame=T_odom_view @ T_view_frame,
+            agreement=inlier_ratio / max(visible_ratio, 1e-9),
+            visible_ratio=visible_ratio,
+            free_space_violation=float(found.free_space_violation[0]),
         )
