@@ -37,6 +37,7 @@ from .constellation_packing import (
 from .contours import (
     ContourParams as ContourParams,
     find_contours as find_contours,
+    layer_contours as layer_contours,
 )
 from .descriptor import (
     BofParams as BofParams,
