@@ -86,7 +86,7 @@ def close(words: Words, radius_px: int) -> None:
 @compiled
 def is_set(words: Words, row: int, column: int) -> int:
     """Return 1 if a pixel is set, else 0."""
-    return (words[np.uint32(row), np.uint32(column >> 5)] >> (column & 31)) & 1
+    return int(words[np.uint32(row), np.uint32(column >> 5)] >> (column & 31)) & 1
 
 
 @compiled
@@ -109,7 +109,7 @@ def outer_contours(words: Words, min_area_px: float) -> tuple[NDArray[np.int32],
     n_corners = n_contours = 0
     for row in range(height):
         outside = True
-        last = 0
+        last = np.int64(0)
         for k in range(width):
             word = np.int64(words[row, k])
             starts = word & ~((word << 1) | last)

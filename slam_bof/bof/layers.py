@@ -313,4 +313,4 @@ def _draw(
     for i in range(len(columns)):
         column, row, k = columns[i], rows[i], index[i]
         if k < n_images and 0 <= column < size and 0 <= row < size:
-            set_bit(sheet, k * side + margin + np.int32(row), margin + np.int32(column))
+            set_bit(sheet, k * side + margin + int(row), margin + int(column))
