@@ -4,6 +4,9 @@ from .bag_of_words import (
     descriptors as descriptors,
     layer_rows as layer_rows,
 )
+from .compilation import (
+    compile_bof as compile_bof,
+)
 from .compression import (
     pack as pack,
     unpack as unpack,

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from numpy.typing import ArrayLike
 
+from slam_bof.bof import compile_bof
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
 from slam_bof.geometry import (
     CloudCamera,
@@ -64,6 +65,8 @@ class LoopCloser:
         background: bool = False,
     ) -> None:
         compile_alignment()
+        if not background:
+            compile_bof()
         self.history = FrameHistory()
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""
