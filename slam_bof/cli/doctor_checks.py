@@ -109,7 +109,7 @@ def _compiled() -> Finding:
     if folder := compile_alignment():
         return Finding("Compiled code", True, f"kept in {folder}")
     remedy = "set NUMBA_CACHE_DIR to a folder that can be written"
-    return Finding("Compiled code", False, "not kept: every run compiles for half a minute", remedy)
+    return Finding("Compiled code", False, "not kept: every run compiles for 40 s", remedy)
 
 
 def _threads() -> Finding:
