@@ -100,6 +100,8 @@ def _find(words: NDArray[np.uint32], width: int, params: ContourParams, margin_p
     layer = corners[np.cumsum(counts) - counts, 1] // max(height, 1)
     corners -= np.int32(margin_px)
     corners[:, 1] -= np.repeat(layer * height, counts)
-    found = np.split(corners, np.cumsum(counts)[:-1])
     order = np.argsort(layer, kind="stable")
-    return Contours(tuple(found[i] for i in order.tolist()), layer[order].astype(np.int32))
+    ends = np.cumsum(counts)[order]
+    bounds = zip((ends - counts[order]).tolist(), ends.tolist(), strict=True)
+    found = tuple(corners[start:end] for start, end in bounds)
+    return Contours(found, layer[order].astype(np.int32))
