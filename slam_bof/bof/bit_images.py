@@ -101,8 +101,12 @@ def outer_contours(words: Words, min_area_px: float) -> tuple[NDArray[np.int32],
 
     Borders are followed as by Suzuki and Abe (1985), from the first pixel in order of rows; the
     lowest contour comes first. The area is that of the polygon through the centres of the pixels.
+    The outermost pixels are cleared, so that each pixel has eight neighbours.
     """
     height, width = words.shape
+    words[:1], words[-1:] = 0, 0
+    words[:, 0] &= np.uint32(0xFFFFFFFE)
+    words[:, -1] &= np.uint32(0x7FFFFFFF)
     border, right = np.zeros_like(words), np.zeros_like(words)
     corners = np.empty((1024, 2), np.int32)
     counts = np.empty(256, np.int64)

@@ -60,3 +60,14 @@ def test_many_and_long_contours_are_all_found():
     assert counts.tolist() == [len(found[0])]
     assert len(corners) > 1024
     np.testing.assert_array_equal(corners, found[0][:, 0])
+
+
+@pytest.mark.parametrize("shape", [(0, 3), (1, 1), (2, 1), (3, 1), (9, 2)])
+def test_the_outermost_pixels_count_as_clear(shape):
+    corners, counts = outer_contours(np.full(shape, 0xFFFFFFFF, np.uint32), 0.0)
+    height, width = shape[0], 32 * shape[1]
+    if height < 3:
+        assert len(counts) == len(corners) == 0
+    else:
+        assert corners.min(axis=0).tolist() == [1, 1]
+        assert corners.max(axis=0).tolist() == [width - 2, height - 2]
