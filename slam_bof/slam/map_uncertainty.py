@@ -11,8 +11,10 @@ parallel paths average out: these are not independent, because edges of one view
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +23,7 @@ from slam_bof.geometry import se3
 from slam_bof.slam.graph_paths import Links
 from slam_bof.slam.loop_log import LoopLog, edge_shapes
 from slam_bof.slam.odometry_noise import MIN_TRIPLES, OdometryNoise
-from slam_bof.types import Array, EdgeKind, Keyframe, Pose
+from slam_bof.types import Array, EdgeKind, Keyframe, Loop, Pose
 
 __all__ = ["MapUncertainty", "PoseUncertainty"]
 
@@ -77,6 +79,18 @@ class MapUncertainty:
         self._log = log
         self._keyframes: dict[int, Keyframe] = {}
         self._noise: dict[int, OdometryNoise] = {}
+
+    @classmethod
+    def of_map(cls, keyframes: Iterable[Keyframe], loops: Iterable[Loop]) -> Self:
+        """Build one of all keyframes and edges of a finished map."""
+        log = LoopLog()
+        known = cls(log)
+        for keyframe in keyframes:
+            known.add_keyframe(keyframe)
+        for number, loop in enumerate(loops):
+            log.append(loop)
+            known.learn(number)
+        return known
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Add a keyframe."""

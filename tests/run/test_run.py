@@ -114,6 +114,8 @@ def test_the_audit_trail_names_each_decision(finished):
     assert len(frames) == 90
     for frame in frames:
         assert (frame["component"] == "") == (frame["health"] == "lost")
+        assert float(frame["sigma_m"]) > 0.0
+        assert (float(frame["sigma_rad"]) < 0.1) == (frame["health"] == "tracked")
     assert {int(frame["component"]) for frame in frames if frame["component"]} == set(
         components.tolist()
     )
