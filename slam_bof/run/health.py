@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slam_bof.core import read_text
 from slam_bof.errors import RunError
-from slam_bof.types import Step
+from slam_bof.types import Array, Pose, Step, Trajectory
 from slam_bof.visualization import FrameHealth
 
 __all__ = ["HealthLog", "read_health", "write_health"]
@@ -33,6 +33,7 @@ class HealthLog:
 
     def __init__(self) -> None:
         self.frames: list[FrameHealth] = []
+        self._poses: list[Pose | None] = []
         self._known: list[FrameHealth] = []
         self._file: TextIO | None = None
 
@@ -49,12 +50,20 @@ class HealthLog:
     def add(self, step: Step) -> None:
         """Add the next frame."""
         n = len(self.frames)
+        self._poses.append(step.T_map_camera)
         if n < len(self._known):
             self.frames.append(self._known[n])
             return
         self.frames.append(_health_of(step))
         if self._file is not None:
             csv.writer(self._file).writerow(self.frames[-1])
+
+    def trajectory(self, stamps_s: Array) -> Trajectory | None:
+        """Return the pose of each frame as it was known at the time; None if some are unknown."""
+        poses = [T for T in self._poses if T is not None]
+        if len(poses) < len(stamps_s) or not poses:
+            return None
+        return Trajectory(stamps_s, np.array(poses))
 
 
 def _health_of(step: Step) -> FrameHealth:

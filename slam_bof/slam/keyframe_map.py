@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -144,6 +144,10 @@ class KeyframeMap:
     def covariances(self) -> Array:
         """Return the covariance (K, 6, 6) of every keyframe; see ``MapUncertainty.covariances``."""
         return self.graph.covariances()
+
+    def edge_covariances(self, loops: Sequence[Loop]) -> Array:
+        """Return the covariance (L, 6, 6) of edges; see ``MapUncertainty.of_edges``."""
+        return self.graph.uncertainty.of_edges(loops)
 
     def uncertainty(self) -> PoseUncertainty:
         """Return how uncertain the pose of the newest keyframe is."""

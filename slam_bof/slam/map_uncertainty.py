@@ -11,7 +11,7 @@ parallel paths average out: these are not independent, because edges of one view
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Self
@@ -135,6 +135,11 @@ class MapUncertainty:
             return EDGE_VARIANCE
         return VIEW_FACTOR * float(np.median(closures)) / MEDIAN_SQUARE
 
+    def of_edges(self, loops: Sequence[Loop]) -> Array:
+        """Return the covariance (L, 6, 6) of the tangent of ``T_match_query`` of each edge."""
+        information = np.array([loop.information for loop in loops]).reshape(-1, 6, 6)
+        return np.asarray(self.edge_scale() * edge_shapes(information))
+
     def newest(self, components: NDArray[np.int64], T_map_camera: Array) -> PoseUncertainty:
         """Return the uncertainty of the newest keyframe; parameters as for ``covariances``."""
         newest = len(components) - 1
@@ -202,19 +207,19 @@ class MapUncertainty:
         """Return the covariance (m, 6, 6), in the map, of each keyframe from the one before it."""
         numbers = self._log.edges().numbers
         made, ends = np.zeros((len(ids), 6, 6)), np.array(ids, np.int64)
-        edges: dict[int, Array] = {}
+        edges: dict[int, Loop] = {}
         for row, key in enumerate(ids):
             link = links.between(int(before[key]), key)
             if link < len(numbers):
                 loop = self._log[int(numbers[link])]
-                edges[row], ends[row] = loop.information, loop.query_id
+                edges[row], ends[row] = loop, loop.query_id
             else:
                 older, newer = sorted((int(before[key]), key))
                 a, b = self._keyframes[older], self._keyframes[newer]
                 made[row] = _step_covariance(a, b, self._step_variances(b.session))
                 ends[row] = newer
         if edges:
-            made[list(edges)] = self.edge_scale() * edge_shapes(np.array(list(edges.values())))
+            made[list(edges)] = self.of_edges(list(edges.values()))
         carried = se3.adjoint(T_map_camera[ends])
         return np.asarray(carried @ made @ np.swapaxes(carried, -1, -2))
 

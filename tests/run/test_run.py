@@ -62,6 +62,9 @@ def test_it_finds_true_loops_and_they_help(finished):
     assert metrics["n_loops"] > 0
     assert metrics["loop_precision"] == 1.0
     assert metrics["ate_m"] < metrics["ate_odometry_m"]
+    assert 0.8 * metrics["ate_m"] < metrics["ate_live_m"] < metrics["ate_odometry_m"]
+    assert 0.0 < metrics["keyframe_nees"] < 5.0
+    assert 0.2 < metrics["edge_nees"] < 5.0
     assert metrics["scene_accuracy"] is None
 
 
