@@ -216,9 +216,10 @@ class GtsamBackend:
         self._loops[number], self._factors[number] = (edge, noise), self._robust(edge, noise)
         self._weights.append(1.0)
         joins = self._held.merge(*(self._nodes[key].segment for key in (edge.match, edge.query)))
-        if joins or loop.kind != EdgeKind.LOOP or self._is_news(edge):
+        is_news = joins or self._is_news(edge)
+        if is_news or loop.kind != EdgeKind.LOOP:
             self._new_factors.add(self._factors[number])
-            self._has_new_loop = True
+            self._has_new_loop |= is_news
 
     def update(self) -> None:
         """Bring the estimate up to date with the factors added since the last call."""
