@@ -165,7 +165,7 @@ def log(T: Pose) -> Array:
 
 
 def _cross_matrix(tangent: Array) -> tuple[Array, Array]:
-    """Return matrices (..., 3, 3) of the cross product with rotations, and angles (..., 1, 1)."""
+    """Return matrices (..., 3, 3) of the cross product with vectors, and lengths (..., 1, 1)."""
     x, y, z = tangent[..., 0], tangent[..., 1], tangent[..., 2]
     K = np.zeros((*tangent.shape[:-1], 3, 3))
     K[..., 2, 1], K[..., 0, 2], K[..., 1, 0] = x, y, z
@@ -186,7 +186,7 @@ def adjoint(T_a_b: Array) -> Array:
     R, t = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
     made = np.zeros((*T_a_b.shape[:-2], 6, 6))
     made[..., :3, :3] = made[..., 3:, 3:] = R
-    made[..., 3:, :3] = np.cross(t[..., None], R, axis=-2)
+    made[..., 3:, :3] = _cross_matrix(t)[0] @ R
     return made
 
 

@@ -87,9 +87,9 @@ class MapUncertainty:
         known = cls(log)
         for keyframe in keyframes:
             known.add_keyframe(keyframe)
-        for number, loop in enumerate(loops):
+        for loop in loops:
             log.append(loop)
-            known.learn(number)
+        known.learn(range(len(log)))
         return known
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
@@ -100,14 +100,18 @@ class MapUncertainty:
         if keyframe.T_odom_raw is not None:
             noise.add_keyframe(keyframe.id, keyframe.T_odom_raw)
 
-    def learn(self, number: int) -> None:
-        """Learn from an edge of the log, if it is one of an uninterrupted track."""
-        loop = self._log[number]
-        match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
-        if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
-            self._noise[query.session].add_edge(
-                loop.match_id, loop.query_id, loop.T_match_query, edge_shapes(loop.information)
-            )
+    def learn(self, numbers: Iterable[int]) -> None:
+        """Learn from edges of the log, as far as they are of one uninterrupted track each."""
+        loops = [self._log[number] for number in numbers]
+        shapes = edge_shapes(np.array([loop.information for loop in loops]).reshape(-1, 6, 6))
+        for loop, shape in zip(loops, shapes, strict=True):
+            match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
+            if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
+                self._noise[query.session].add_edge(
+                    loop.match_id, loop.query_id, loop.T_match_query, shape
+                )
+        for noise in self._noise.values():
+            noise.learn()
 
     def forget(self, keyframe_id: int) -> None:
         """Forget a culled keyframe; what was learnt from it stays."""

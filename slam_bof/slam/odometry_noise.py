@@ -54,6 +54,7 @@ class OdometryNoise:
         self.T_odom_camera: dict[int, Pose] = {}
         self.is_given = False
         self._neighbours: dict[int, dict[int, Array]] = {}
+        self._triples: list[tuple[int, ...]] = []
         self._edges: dict[tuple[int, int], tuple[Pose, Array]] = {}
         self._n_triples = self._n_steps = self._n_long = self._n_passed = 0
         # Sums of squares over the three axes, of rotation and of translation, each (2,):
@@ -71,7 +72,9 @@ class OdometryNoise:
     def add_edge(
         self, match_id: int, query_id: int, T_match_query: Pose, shape: Array = UNIT_SHAPE
     ) -> None:
-        """Add an edge that holds all directions. One of an unknown keyframe says nothing.
+        """Add an edge that holds all directions, for the next ``learn``.
+
+        One of an unknown keyframe says nothing.
 
         ``shape`` (6, 6) is its covariance, up to a factor that is the same for all edges.
         """
@@ -88,13 +91,40 @@ class OdometryNoise:
         )
         common = self._neighbours[match_id].keys() & self._neighbours[query_id].keys()
         for other in sorted(common)[-MAX_TRIPLES:]:
-            self._add_triple(*sorted((match_id, query_id, other)))
+            self._triples.append(tuple(sorted((match_id, query_id, other))))
         if query_id == match_id + 1:
             self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
             self._n_steps += 1
         if query_id - match_id > LONG:
             self._off_long = self._off_long + _squares(self._neighbours[match_id][query_id])
             self._n_long += 1
+
+    def learn(self) -> None:
+        """Learn from the triples, in the order of time, that new edges have closed."""
+        if not self._triples:
+            return
+        triples, self._triples = self._triples, []
+        i, j, k = np.array(triples).T
+        a, b, c = (
+            np.array([self._neighbours[match][query] for match, query in pairs.tolist()])
+            for pairs in (np.stack([i, j], 1), np.stack([j, k], 1), np.stack([i, k], 1))
+        )
+        (T_i_j, of_a), (T_j_k, of_b), (T_i_k, of_c) = (
+            map(np.array, zip(*(self._edges[match, query] for match, query in pairs), strict=True))
+            for pairs in (zip(*ends, strict=True) for ends in ((i, j), (j, k), (i, k)))
+        )
+        T_k_j = np.array([self._step(last, middle) for _, middle, last in triples])
+        a = (se3.adjoint(T_k_j) @ a[..., None])[..., 0]  # as a motion of the last keyframe
+        walk = _products(a + b, c) + 2.0 * _products(a, b)
+        closure = se3.log(se3.inverse(T_i_k) @ T_i_j @ T_j_k)
+        carried = se3.adjoint(se3.inverse(T_j_k))
+        shape = carried @ of_a @ np.swapaxes(carried, 1, 2) + of_b + of_c
+        whitened = closure[:, None] @ np.linalg.solve(shape, closure[..., None])
+        self._whitened.extend(whitened[:, 0, 0].tolist())
+        self._walk = self._walk + walk.sum(axis=0)
+        self._closure = self._closure + _squares(closure).sum(axis=0)
+        self._n_passed += int((k - i).sum())
+        self._n_triples += len(triples)
 
     def forget(self, keyframe_id: int) -> None:
         """Forget a keyframe that gets no further edges; what was learnt from it stays."""
@@ -134,38 +164,14 @@ class OdometryNoise:
         """Return the variance (2,) of an edge."""
         return np.maximum(self._closure / (3 * self._n_triples), TINY)
 
-    def _add_triple(self, i: int, j: int, k: int) -> None:
-        """Learn from three keyframes, in the order of time, with an edge between each two."""
-        a = _seen_from(self._step(k, j), self._neighbours[i][j])
-        b, c = self._neighbours[j][k], self._neighbours[i][k]
-        self._walk = self._walk + _products(a + b, c) + 2.0 * _products(a, b)
-        (T_i_j, of_a), (T_j_k, of_b), (T_i_k, of_c) = (
-            self._edges[pair] for pair in ((i, j), (j, k), (i, k))
-        )
-        closure = se3.log(se3.inverse(T_i_k) @ T_i_j @ T_j_k)
-        self._closure = self._closure + _squares(closure)
-        carried = se3.adjoint(se3.inverse(T_j_k))
-        whole = carried @ of_a @ carried.T + of_b + of_c
-        self._whitened.append(float(closure @ np.linalg.solve(whole, closure)))
-        self._n_passed += k - i
-        self._n_triples += 1
-
     def _step(self, a: int, b: int) -> Pose:
         """Return the pose (4, 4) of keyframe b in the camera of keyframe a."""
         return se3.inverse(self.T_odom_camera[a]) @ self.T_odom_camera[b]
 
 
-def _seen_from(T_k_j: Pose, tangent: Array) -> Array:
-    """Return a small motion (6,) of frame j as one of frame k (its adjoint)."""
-    R, (x, y, z) = T_k_j[:3, :3], T_k_j[:3, 3]
-    wx, wy, wz = turn = R @ tangent[:3]
-    lever = [y * wz - z * wy, z * wx - x * wz, x * wy - y * wx]
-    return np.concatenate([turn, R @ tangent[3:] + lever])
-
-
 def _products(a: Array, b: Array) -> Array:
-    """Return the dot products of two tangents (6,), of their rotations and translations: (2,)."""
-    return np.asarray((a * b).reshape(2, 3).sum(axis=1))
+    """Return the dot products (..., 2) of rotations and of translations of tangents (..., 6)."""
+    return np.asarray((a * b).reshape(*a.shape[:-1], 2, 3).sum(axis=-1))
 
 
 def _squares(tangent: Array) -> Array:

@@ -88,11 +88,12 @@ class MapGraph:
 
     def add_loops(self, loops: Iterable[Loop]) -> None:
         """Add the edges that came with the newest keyframe, and bring the map up to date."""
+        n_before = len(self.log)
         for loop in loops:
             self._join(loop)
             self.backend.add_loop(loop)
             self.log.append(loop)
-            self.uncertainty.learn(len(self.log) - 1)
+        self.uncertainty.learn(range(n_before, len(self.log)))
         self.backend.update()
         self._refresh()
 

@@ -53,6 +53,7 @@ def relative_sigmas(odometry, edges):
         noise.add_keyframe(k, T)
     for edge in edges:
         noise.add_edge(*edge)
+    noise.learn()
     return noise.relative_sigmas()
 
 
