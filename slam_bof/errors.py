@@ -17,8 +17,24 @@ __all__ = [
 ]
 
 
+MAX_MESSAGE = 900
+"""Characters of a message, of which a third is left for its end."""
+
+
 class SlamBofError(Exception):
-    """Base class of all errors that the user can correct."""
+    """Base class of all errors that the user can correct.
+
+    What a message names may come from a file, such as the topics of a bag. A long one is cut in its
+    middle, so that it keeps the file at its beginning and what was expected at its end.
+    """
+
+    def __str__(self) -> str:
+        """Return the message."""
+        text = super().__str__()
+        if len(text) <= MAX_MESSAGE:
+            return text
+        end = MAX_MESSAGE // 3
+        return f"{text[: MAX_MESSAGE - end]} ... {text[-end:]}"
 
 
 class AtlasError(SlamBofError):

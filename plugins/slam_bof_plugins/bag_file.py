@@ -44,7 +44,7 @@ class Topic:
     n_messages: int
 
 
-class _BagPath(type(Path())):  # type: ignore[misc]
+class _BagPath(type(Path())):  # type: ignore[misc]  # Path can be subclassed from Python 3.12 on
     """A path as rosbags expects it, which chooses a reader by a suffix in small letters."""
 
     @property

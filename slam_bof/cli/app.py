@@ -58,6 +58,17 @@ class OneLineErrors(TyperGroup):
             fail(f"{place}{error.strerror}", 1)
         except KeyboardInterrupt:
             fail("interrupted", INTERRUPTED)
+        except SystemError as error:
+            if not _is_interruption(error):
+                raise
+            fail("interrupted", INTERRUPTED)
+
+
+def _is_interruption(error: BaseException | None) -> bool:
+    """Return whether an error comes of Ctrl-C within C code, such as Numba's while it loads."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def fail(message: str, code: int) -> None:

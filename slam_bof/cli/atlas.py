@@ -128,4 +128,4 @@ def _print(maps: list[AtlasMap], what: str, *, as_json: bool) -> None:
     if rows:
         print_table(("map", "keyframes"), [list(row.values()) for row in rows])
     n = sum(entry.n_keyframes for entry in maps)
-    typer.echo(f"{len(maps)} maps with {n} keyframes {what}")
+    typer.echo(f"{len(maps)} map{'s' if len(maps) != 1 else ''} with {n} keyframes {what}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from slam_bof.cli.options import JOBS, JSON, N_WORDS, QUIET, SCHEDULER, SEED, SET
+from slam_bof.cli.options import JOBS, JSON, N_WORDS, QUIET, SCHEDULER, SEED, SET, out_file
 
 if TYPE_CHECKING:
     from slam_bof.evaluation import MethodScores, PlaceQueries
@@ -36,11 +36,14 @@ def places(
     assignments: SET = None,
     seed: SEED = 0,
     curves: Annotated[
-        Path | None, typer.Option(help="HTML file to write with the precision-recall curves.")
+        Path | None,
+        typer.Option(
+            callback=out_file, help="HTML file to write with the precision-recall curves."
+        ),
     ] = None,
     misses: Annotated[
         Path | None,
-        typer.Option(help="HTML file to write with the wrong answers."),
+        typer.Option(callback=out_file, help="HTML file to write with the wrong answers."),
     ] = None,
     jobs: JOBS = 1,
     scheduler: SCHEDULER = None,

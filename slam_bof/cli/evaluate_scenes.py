@@ -118,6 +118,8 @@ def scenes(
     from slam_bof.visualization import write_comparison
 
     _check_options(protocol, label=label, csv=csv, data=data, train=train, test=test)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)  # before the work of minutes
     if protocol == "groups" and csv is not None:
         options = GroupOptions(
             csv, camera, only, methods, folds, repeats, copies, share, n_words, seed

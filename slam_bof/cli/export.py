@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from slam_bof.cli.inputs import map_file
-from slam_bof.cli.options import COMPONENT, JSON, MAP, finite
+from slam_bof.cli.options import COMPONENT, JSON, MAP, finite, out_file
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ FORMATS_OF_SUFFIXES: dict[str, Format] = {
 
 def export(
     map_: MAP,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write.")],
+    out: Annotated[Path, typer.Option("--out", "-o", callback=out_file, help="The file to write.")],
     format_: Annotated[
         Literal["tum", "kitti", "csv", "g2o", "ply", "occupancy"] | None,
         typer.Option(

@@ -35,6 +35,7 @@ __all__ = [
     "Format",
     "NumbersCommand",
     "finite",
+    "out_file",
     "parse_numbers",
 ]
 
@@ -46,6 +47,15 @@ def finite(value: float | None) -> float | None:
     if value is not None and not math.isfinite(value):
         raise typer.BadParameter(f"{value} is not a finite number.")
     return value
+
+
+def out_file(path: Path | None) -> Path | None:
+    """Return the file of an option that names one to write, unless it is a named pipe."""
+    from slam_bof.core import refuse_named_pipe
+
+    if path is not None:
+        refuse_named_pipe(path)
+    return path
 
 
 JOBS = Annotated[

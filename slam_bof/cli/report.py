@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from slam_bof.cli.options import JSON
+from slam_bof.cli.options import JSON, out_file
 
 __all__ = ["report"]
 
@@ -16,7 +16,12 @@ def report(
     run: Annotated[Path, typer.Argument(metavar="RUN", help="The folder of a run.")],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="The file to write; by default the run's report.html."),
+        typer.Option(
+            "--out",
+            "-o",
+            callback=out_file,
+            help="The file to write; by default the run's report.html.",
+        ),
     ] = None,
     as_json: JSON = False,
 ) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from slam_bof.cli.inputs import open_sequence, read_image
-from slam_bof.cli.options import DATASET, DEPTH_SCALE, INTRINSICS, QUIET, SOURCE
+from slam_bof.cli.options import DATASET, DEPTH_SCALE, INTRINSICS, QUIET, SOURCE, out_file
 from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +20,9 @@ __all__ = ["show"]
 
 def show(
     source: SOURCE,
-    out: Annotated[Path, typer.Option("--out", "-o", help="The SVG file to write.")],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", callback=out_file, help="The SVG file to write.")
+    ],
     frame: Annotated[int, typer.Option(min=0, help="Number of the frame of a SEQUENCE.")] = 0,
     match: Annotated[
         str | None,

@@ -161,6 +161,8 @@ def train(
     from slam_bof.scenes import model as models
 
     _check_out(out)
+    if page is not None:
+        page.mkdir(parents=True, exist_ok=True)  # before the work of minutes
     n_layers = LayerParams().n_layers if layers is None else layers
     params = PlaceParams(layers=LayerParams(n_layers=n_layers, rounding=rounding))
     n_jobs = jobs if scheduler is None else None
@@ -237,8 +239,9 @@ def _write_page(trained: TrainedSceneModel, out: Path, folder: Path) -> list[Pat
 
 def _check_out(out: Path) -> None:
     """Refuse a file that cannot be written, before training starts."""
-    if out.is_dir():
-        raise ConfigError(f"{out}: found a folder, expected the name of a file to write")
+    if out.exists() and not out.is_file():  # the model would replace a device
+        found = "a folder" if out.is_dir() else "a device or pipe"
+        raise ConfigError(f"{out}: found {found}, expected the name of a file to write")
     out.parent.mkdir(parents=True, exist_ok=True)
     out.with_name(out.name + ".part").touch()
     out.with_name(out.name + ".part").unlink()

@@ -19,6 +19,7 @@ from .files import (
     open_bytes as open_bytes,
     read_bytes as read_bytes,
     read_text as read_text,
+    refuse_named_pipe as refuse_named_pipe,
 )
 from .images import decode_image as decode_image
 from .native_libraries import (

@@ -5,12 +5,11 @@ from __future__ import annotations
 import errno
 import io
 import os
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-__all__ = ["naming", "open_bytes", "read_bytes", "read_text"]
+__all__ = ["naming", "open_bytes", "read_bytes", "read_text", "refuse_named_pipe"]
 
 MAX_BYTES = 1 << 29
 MAX_TEXT_BYTES = 1 << 27
@@ -38,11 +37,20 @@ def open_bytes(path: Path) -> io.BufferedReader:
     OSError
         If the file cannot be opened, or is a named pipe: opening it may wait forever for a writer.
     """
-    if stat.S_ISFIFO(path.stat().st_mode):
+    refuse_named_pipe(path)
+    return path.open("rb")
+
+
+def refuse_named_pipe(path: Path) -> None:
+    """Raise ``OSError`` for a named pipe: opening it may wait forever for the other side.
+
+    A pipe of the shell, such as ``>(gzip > page.html.gz)``, may be opened, and a file that is
+    missing may be written.
+    """
+    if path.is_fifo():
         place = os.path.realpath(path)  # of a shell's pipe that is no file, or is in /dev
         if os.path.exists(place) and not place.startswith("/dev/"):
             raise OSError(errno.EINVAL, "a named pipe", str(path))
-    return path.open("rb")
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_BYTES) -> bytes:

@@ -167,7 +167,28 @@ class ViewAligner:
 
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
-        return self.refine(query, matches, self._search(query, matches, starts))
+        return self.refine(query, matches, self.search(query, matches, starts))
+
+    def search(self, query: int, matches: Indices, starts: Array) -> Array:
+        """Return the best (n, 4, 4) of random poses about starts (n, S, 4, 4).
+
+        It takes rounds of smaller and smaller motions.
+        """
+        points = self._views.sampled(query, self.params.n_search_points)
+        tolerance = np.array(self.params.search_tolerance)
+        arrays, rows = self._views.arrays(), self._views.rows(matches)
+        for motions in self._motions:
+            tried = np.matmul(motions, starts[:, :, None]).reshape(len(starts), -1, 4, 4)
+            scores = np.stack(
+                [
+                    score_poses(arrays, row, points, poses, tolerance)
+                    for row, poses in zip(rows, tried, strict=True)
+                ]
+            )
+            best = np.argsort(-scores, axis=1, kind="stable")[:, :2]
+            starts = np.take_along_axis(tried, best[..., None, None], axis=1)
+            tolerance = tolerance * 0.7
+        return starts[:, 0]
 
     def refine(self, query: int, matches: Indices, T_match_query: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
@@ -236,24 +257,6 @@ class ViewAligner:
     def coverage(self, query: int, matches: Indices, T_match_query: Array) -> Coverage:
         """Measure how far the query agrees with all matches (n,) together at poses (n, 4, 4)."""
         return coverage(self._views, query, matches, T_match_query, self.params.tolerance)
-
-    def _search(self, query: int, matches: Indices, starts: Array) -> Array:
-        """Return the best of random poses about the starts, in rounds of smaller motions."""
-        points = self._views.sampled(query, self.params.n_search_points)
-        tolerance = np.array(self.params.search_tolerance)
-        arrays, rows = self._views.arrays(), self._views.rows(matches)
-        for motions in self._motions:
-            tried = np.matmul(motions, starts[:, :, None]).reshape(len(starts), -1, 4, 4)
-            scores = np.stack(
-                [
-                    score_poses(arrays, row, points, poses, tolerance)
-                    for row, poses in zip(rows, tried, strict=True)
-                ]
-            )
-            best = np.argsort(-scores, axis=1, kind="stable")[:, :2]
-            starts = np.take_along_axis(tried, best[..., None, None], axis=1)
-            tolerance = tolerance * 0.7
-        return starts[:, 0]
 
 
 @cache

@@ -2,6 +2,9 @@ from .covisibility import (
     CovisibilityParams as CovisibilityParams,
     choose_covisible as choose_covisible,
 )
+from .decisions import (
+    VerificationParams as VerificationParams,
+)
 from .detector import (
     LoopCounts as LoopCounts,
     LoopDetector as LoopDetector,
@@ -11,6 +14,5 @@ from .params import (
 )
 from .verification import (
     LoopVerification as LoopVerification,
-    VerificationParams as VerificationParams,
     Verified as Verified,
 )

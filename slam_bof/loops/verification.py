@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slam_bof.geometry import se3
-from slam_bof.loops.component_joining import ComponentJoiningGate, ComponentJoiningParams
-from slam_bof.loops.pairwise_consistency import ConsistencyGate, ConsistencyParams
+from slam_bof.loops.component_joining import ComponentJoiningGate
+from slam_bof.loops.decisions import MapPoses, VerificationParams, decide
+from slam_bof.loops.pairwise_consistency import ConsistencyGate
 from slam_bof.places import Compare
 from slam_bof.ports import ForgettingVerifier, Verifier
 from slam_bof.types import (
@@ -24,66 +24,11 @@ from slam_bof.types import (
     DepthFrame,
     EdgeKind,
     Loop,
-    Params,
     Pose,
     Verification,
 )
 
-__all__ = ["LoopVerification", "VerificationParams", "Verified"]
-
-
-class VerificationParams(Params):
-    """What a loop needs in addition to a good alignment.
-
-    A wrong loop bends the whole map, a wrong edge to a neighbour only a little, so a loop needs
-    more. Layers along the optical axis change with the viewpoint, so two views with similar bags
-    must be close to each other.
-    """
-
-    min_overlap: float = Field(
-        0.6,
-        ge=0,
-        le=1,
-        description="Smallest share of points with a match that a loop needs.",
-    )
-    max_view_distance_m: float = Field(
-        1.0,
-        gt=0,
-        description="Largest distance between two views that bags propose, in m.",
-    )
-    max_view_angle_rad: float = Field(
-        0.7,
-        gt=0,
-        description="Largest angle between two views that bags propose, in rad.",
-    )
-    max_correction_m: float = Field(
-        0.5,
-        ge=0,
-        description="Distance by which a loop may move the map, in m, before drift is added.",
-    )
-    max_correction_rad: float = Field(
-        0.3,
-        ge=0,
-        description="Angle by which a loop may turn the map, in rad, before drift is added.",
-    )
-    drift_m_per_m: float = Field(
-        0.05,
-        ge=0,
-        description="Drift in position that odometry may have, in m for each m travelled.",
-    )
-    drift_rad_per_m: float = Field(
-        0.02,
-        ge=0,
-        description="Drift in direction that odometry may have, in rad for each m travelled.",
-    )
-    global_registration: Literal["if_needed", "always"] = Field(
-        "if_needed",
-        description="With bags: when a candidate is registered without an initial pose, which "
-        "the verifier open3d does by RANSAC: if_needed where its pose in the map fails, always as "
-        "in the paper.",
-    )
-    consistency: ConsistencyParams = ConsistencyParams()
-    component_joining: ComponentJoiningParams = ComponentJoiningParams()
+__all__ = ["LoopVerification", "Verified"]
 
 
 class Verified(NamedTuple):
@@ -213,25 +158,19 @@ class LoopVerification:
             (K,) component of each; by default all are in one. Poses of different components cannot
             be compared.
         """
-        if components is None:
-            components = np.zeros(len(T_map_camera), dtype=np.int64)
-        if path_m is None:
-            steps_m = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
-            # The distance between components does not say how far the camera went.
-            travelled_m = np.append(0.0, np.cumsum(steps_m * (np.diff(components) == 0)))
-            path_m = travelled_m[-1] - travelled_m
+        poses = MapPoses.of(T_map_camera, path_m, components)
         decided: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
         for candidate, verified in zip(candidates, aligned, strict=True):
             if verified is not None:
-                candidate = self._decide(candidate, verified, T_map_camera, path_m, components)
+                candidate = decide(candidate, verified, poses, self.params)
                 if candidate.decision == Decision.ACCEPTED:
                     is_loop = candidate.kind == EdgeKind.LOOP
                     (loops if is_loop else edges).append(_edge(candidate, verified))
             decided.append(candidate)
-        admitted = self.admit(loops, T_map_camera, components)
-        return Verified(_hold(decided, admitted, components), edges + loops, edges + admitted)
+        admitted = self.admit(loops, T_map_camera, poses.components)
+        return Verified(_hold(decided, admitted, poses), edges + loops, edges + admitted)
 
     def admit(
         self, loops: Sequence[Loop], T_map_camera: Array, components: NDArray[np.integer[Any]]
@@ -250,71 +189,6 @@ class LoopVerification:
             and candidate.decision == Decision.OPEN
         )
 
-    def _decide(
-        self,
-        candidate: Candidate,
-        verified: Verification,
-        T_map_camera: Array,
-        path_m: Array,
-        components: NDArray[np.integer[Any]],
-    ) -> Candidate:
-        """Return a candidate with its figures, its kind, the decision and the reason for it."""
-        kind = candidate.kind
-        if (
-            candidate.source == CandidateSource.PROXIMITY
-            and verified.overlap < self.params.min_overlap
-        ):
-            kind = EdgeKind.COVISIBILITY  # too little to claim a loop, but both see some surfaces
-        if verified.n_open and kind == EdgeKind.COVISIBILITY:
-            kind = EdgeKind.PARTIAL
-        candidate = replace(candidate, kind=kind, overlap=verified.overlap, rmse_m=verified.rmse_m)
-        if candidate.decision == Decision.ACCEPTED:
-            decision, reason = _recheck(candidate, verified)
-        else:
-            reason = verified.reason or self._reason_against(
-                candidate, verified, T_map_camera, path_m, components
-            )
-            decision = Decision.REJECTED if reason else Decision.ACCEPTED
-        return replace(candidate, decision=decision, reason=reason)
-
-    def _reason_against(
-        self,
-        candidate: Candidate,
-        verified: Verification,
-        T_map_camera: Array,
-        path_m: Array,
-        components: NDArray[np.integer[Any]],
-    ) -> str:
-        """Return why a well-aligned pair is no loop all the same, or nothing."""
-        p = self.params
-        if candidate.kind != EdgeKind.LOOP:
-            return ""
-        if verified.n_open:
-            return _open_reason(verified)
-        if verified.overlap < p.min_overlap:
-            return f"overlap {verified.overlap:.2f} below the {p.min_overlap:g} that a loop needs"
-        distance_m, angle_rad = _size(verified.T_match_query)
-        if candidate.source == CandidateSource.BAG and (
-            distance_m > p.max_view_distance_m or angle_rad > p.max_view_angle_rad
-        ):
-            return f"views too far apart for like bags: {distance_m:.2f} m, {angle_rad:.2f} rad"
-        if components[candidate.match_id] != components[candidate.query_id]:
-            return ""
-        between_m = float(path_m[candidate.match_id])
-        T_map_match, T_map_query = T_map_camera[[candidate.match_id, candidate.query_id]]
-        moved_m, turned_rad = _size(
-            se3.inverse(verified.T_match_query) @ se3.inverse(T_map_match) @ T_map_query
-        )
-        if (
-            moved_m > p.max_correction_m + p.drift_m_per_m * between_m
-            or turned_rad > p.max_correction_rad + p.drift_rad_per_m * between_m
-        ):
-            return (
-                f"would move the map by {moved_m:.2f} m and {turned_rad:.2f} rad, "
-                f"more than drift over {between_m:.1f} m explains"
-            )
-        return ""
-
 
 def _edge(candidate: Candidate, verified: Verification) -> Loop:
     """Return the edge of the pose graph that an accepted candidate becomes."""
@@ -328,29 +202,7 @@ def _edge(candidate: Candidate, verified: Verification) -> Loop:
     )
 
 
-def _recheck(candidate: Candidate, verified: Verification) -> tuple[Decision, str]:
-    """Return decision and reason of a candidate that recognition accepted already."""
-    information = verified.information
-    if verified.n_open and candidate.kind == EdgeKind.LOOP:
-        return Decision.REJECTED, f"{candidate.reason}; {_open_reason(verified)}"
-    if np.linalg.matrix_rank(information, tol=1e-9 * max(np.trace(information), 1.0)) < 6:
-        return Decision.REJECTED, f"{candidate.reason}; no relative pose: {verified.reason}"
-    reason_against = f"; geometry objects: {verified.reason}" if verified.reason else ""
-    return Decision.ACCEPTED, candidate.reason + reason_against
-
-
-def _open_reason(verified: Verification) -> str:
-    return f"the surfaces leave {verified.n_open} of 6 directions open"
-
-
-def _size(T: Pose) -> tuple[float, float]:
-    """Return how far, in metres, and by what angle, in radians, a transform moves."""
-    return float(np.linalg.norm(T[:3, 3])), float(se3.rotation_angle(T))
-
-
-def _hold(
-    decided: list[Candidate], admitted: list[Loop], components: NDArray[np.integer[Any]]
-) -> list[Candidate]:
+def _hold(decided: list[Candidate], admitted: list[Loop], poses: MapPoses) -> list[Candidate]:
     """Mark the loops that were verified but not admitted yet."""
     pairs = {(loop.query_id, loop.match_id) for loop in admitted}
 
@@ -363,7 +215,7 @@ def _hold(
         ):
             return candidate
         reason = "no loop of another keyframe agrees with it"
-        if components[candidate.query_id] != components[candidate.match_id]:
+        if poses.joins_components(candidate):
             reason = "not enough yet to join two components"
         return replace(candidate, decision=Decision.HELD, reason=reason)
 

@@ -249,7 +249,7 @@ class PlaceRecogniser:
             ids, starts = self._merge(shortlist, self._followed.propose(view_id, near))
         if len(ids) == 0:
             return []
-        T = self.aligner.align(view_id, ids, starts)
+        T = self.aligner.refine(view_id, ids, self.aligner.search(view_id, ids, starts))
         inlier_ratio, free_space_violation, _ = self.aligner.agreement(view_id, ids, T)
         scores = self._score(T, inlier_ratio - free_space_violation)
         matches = [

@@ -14,7 +14,8 @@ import joblib
 
 from slam_bof.errors import SlamBofError
 from slam_bof.ports import Dataset
-from slam_bof.run.run import RunResult, run_sequence
+from slam_bof.run.job import RunResult
+from slam_bof.run.run import run_sequence
 from slam_bof.slam import Config
 
 __all__ = ["SequenceRun", "run_sequences"]

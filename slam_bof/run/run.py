@@ -1,57 +1,24 @@
-"""One run of the mini-SLAM over a sequence, new or resumed."""
+"""Where a run begins and where its files go: a new one, or one that is resumed."""
 
 from __future__ import annotations
 
 import importlib.metadata
 import logging
-from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
-from slam_bof.core import StageClock, Usage, registry
-from slam_bof.datasets import find_doubts, first_frame
 from slam_bof.errors import MapError
-from slam_bof.maps import check_session, finish_session, restore_session, with_model_of
-from slam_bof.ports import Dataset, NullObserver, Observer, Odometry, ScaledDataset
+from slam_bof.maps import check_session, with_model_of
+from slam_bof.ports import Dataset, Observer, ScaledDataset
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
-from slam_bof.run.logging_observer import LoggingObserver
-from slam_bof.run.metrics import Metrics, compute_metrics
-from slam_bof.run.outputs import write_outputs, write_trajectory
-from slam_bof.run.record import RunRecord
-from slam_bof.slam import (
-    Config,
-    LoopCloser,
-    MiniSlam,
-    SlamResult,
-    config as configs,
-    of_session,
-)
-from slam_bof.store import MapStore, MapWriter, Session
+from slam_bof.run.job import Job, RunResult, run_job
+from slam_bof.slam import Config, LoopCloser, config as configs
+from slam_bof.store import MapStore, Session
 
-__all__ = ["RunInterrupted", "RunResult", "resume_sequence", "run_sequence"]
-
-MAX_LOST_RATIO = 0.1
-"""Share of lost frames above which a run warns."""
+__all__ = ["resume_sequence", "run_sequence"]
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class RunResult:
-    """Where a run's files are, and its metrics as ``metrics.json`` has them."""
-
-    folder: Path
-    metrics: Metrics
-
-
-class RunInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a run, whose saved keyframes can be resumed from its folder."""
-
-    def __init__(self, folder: Path, n_frames: int) -> None:
-        super().__init__(f"{folder}: interrupted after {n_frames} frames")
-        self.folder = folder
-        self.n_frames = n_frames
 
 
 def run_sequence(
@@ -102,7 +69,7 @@ def run_sequence(
     if map_file is not None and map_file.exists():
         with MapStore.open(map_file) as earlier:
             config = with_model_of(earlier, config)
-    job = _Job.prepare(dataset, config, observer, max_frames, with_color=with_color, z_up=z_up)
+    job = Job.prepare(dataset, config, observer, max_frames, with_color=with_color, z_up=z_up)
     with ExitStack() as stack:
         store = None
         if map_file is not None:
@@ -128,7 +95,7 @@ def run_sequence(
             max_frames=max_frames,
         )
         store.set_parameters({"source": source, "units_per_m": _units_per_m(dataset)})
-        return _run(job, folder, store, session, is_new=True)
+        return run_job(job, folder, store, session, is_new=True)
 
 
 def resume_sequence(
@@ -170,7 +137,7 @@ def resume_sequence(
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         config = with_model_of(store, config)
         n_frames = max_frames or session.max_frames
-        job = _Job.prepare(dataset, config, observer, n_frames, with_color=with_color, z_up=z_up)
+        job = Job.prepare(dataset, config, observer, n_frames, with_color=with_color, z_up=z_up)
         _check_ready(store, dataset, job.closer, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)
@@ -179,47 +146,7 @@ def resume_sequence(
             if not is_in_folder:
                 (folder / "config.yaml").write_text(configs.dump(config), encoding="utf-8")
                 link_map(folder, map_file)
-            return _run(job, folder, store, session, is_new=False)
-
-
-@dataclass(frozen=True, slots=True)
-class _Job:
-    """The parts of a run, built before anything is written."""
-
-    dataset: Dataset
-    config: Config
-    observer: LoggingObserver
-    max_frames: int | None
-    with_color: bool
-    z_up: bool
-    clock: StageClock
-    odometry: Odometry
-    closer: LoopCloser
-
-    @classmethod
-    def prepare(
-        cls,
-        dataset: Dataset,
-        config: Config,
-        observer: Observer | None,
-        max_frames: int | None,
-        *,
-        with_color: bool,
-        z_up: bool,
-    ) -> _Job:
-        """Build the odometry and the plug-in that the configuration names."""
-        clock = StageClock()
-        return cls(
-            dataset=dataset,
-            config=config,
-            observer=LoggingObserver(observer or NullObserver(), first_frame(dataset)),
-            max_frames=max_frames,
-            with_color=with_color,
-            z_up=z_up,
-            clock=clock,
-            odometry=registry.build("odometry", config.odometry.name, config.odometry.options),
-            closer=LoopCloser.from_config(config, clock=clock),
-        )
+            return run_job(job, folder, store, session, is_new=False)
 
 
 def _open_map(map_file: Path) -> MapStore:
@@ -227,101 +154,6 @@ def _open_map(map_file: Path) -> MapStore:
     if map_file.exists():
         return MapStore.open(map_file, read_only=False)
     return MapStore.create(map_file)
-
-
-def _run(job: _Job, folder: Path, store: MapStore, session: Session, *, is_new: bool) -> RunResult:
-    """Run a session to its end, from its start or its last saved keyframe, and write its files."""
-    closer = job.closer
-    started = Usage.now()
-    doubts = find_doubts(job.dataset)
-    for doubt in doubts:
-        job.observer.on_warning(doubt)
-    with MapWriter(store) as writer:
-        odometry = None if is_new else store.odometry(session.id)
-        restore_session(closer, store, session, is_new=is_new)
-        slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
-        closer.journal = lambda record: writer.write(record, slam.odometry_state(record))
-        health = job.observer.health.saved_in(folder / "health.csv", len(closer.history))
-        with _resumable(folder, job), health:
-            result = slam.run(job.dataset, max_frames=job.max_frames, odometry=odometry)
-        if result.n_resumed:
-            logger.info(
-                "resumed after %d frames; the odometry ran again over %d of them",
-                result.n_resumed,
-                result.n_repeated,
-            )
-    with _resumable(folder, job):
-        return _conclude(job, folder, store, session, result, started, doubts)
-
-
-@contextmanager
-def _resumable(folder: Path, job: _Job) -> Iterator[None]:
-    """Raise ``RunInterrupted`` for Ctrl-C."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise RunInterrupted(folder, job.observer.n_frames) from None
-
-
-def _conclude(
-    job: _Job,
-    folder: Path,
-    store: MapStore,
-    session: Session,
-    result: SlamResult,
-    started: Usage,
-    doubts: Sequence[str],
-) -> RunResult:
-    """Finish a session whose frames are all read, and write the files of its run."""
-    closer = job.closer
-    write_trajectory(folder, "odometry", result.odometry)
-    write_trajectory(folder, "optimized", result.optimized)
-    used = Usage.now() - started
-    if closer.n_frames_lost > MAX_LOST_RATIO * len(result.indices):
-        reason = "too little depth, or too little overlap with earlier frames"
-        if doubts:
-            reason = "probably for the reason that the warning at the start of the run gives"
-        job.observer.on_warning(
-            f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
-        )
-    record = _finish(job, store, session, result, used)
-    if closer.map.n_components > 1:
-        job.observer.on_warning(
-            f"the map has {closer.map.n_components} components that no loop has joined: poses of "
-            "different components are not comparable, and map.ply shows the largest"
-        )
-    metrics = compute_metrics(record)
-    write_outputs(folder, record, metrics, store, job.observer.on_warning)
-    logger.info("done: %d keyframes, %s loops", len(result.keyframes), metrics["n_loops"])
-    return RunResult(folder, metrics)
-
-
-def _finish(
-    job: _Job, store: MapStore, session: Session, result: SlamResult, used: Usage
-) -> RunRecord:
-    """Label the whole map, finish the session in it, and return the record of the run."""
-    dataset, config, closer = job.dataset, job.config, job.closer
-    first = closer.map.first_keyframe
-    smoothed, rooms = finish_session(closer, store, session, config, warn=job.observer.on_warning)
-    scenes = dataset.scenes()
-    frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
-    return RunRecord(
-        dataset=dataset,
-        closer=closer,
-        seed=config.seed,
-        result=result,
-        candidates=of_session(store.candidates(), range(first, len(closer.map.keyframes))),
-        smoothed=smoothed[first:],
-        n_rooms=len(rooms),
-        groundtruth=dataset.groundtruth(),
-        true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
-        with_color=job.with_color,
-        z_up=job.z_up,
-        live=job.observer.health.trajectory(result.optimized.stamps_s),
-        health=job.observer.health.frames,
-        usage=used,
-        clock=job.clock,
-    )
 
 
 def _check_ready(

@@ -169,57 +169,48 @@ class LoopCloser:
             This frame has not been processed, and may be given again.
         """
         with self._call() as before:
-            return self._process(before, frame, T_odom_camera, covariance, T_view_camera)
-
-    def _process(
-        self,
-        before: Checkpoint,
-        frame: DepthFrame,
-        T_odom_camera: Pose,
-        covariance: ArrayLike | None,
-        T_view_camera: Pose | None,
-    ) -> Step:
-        """Process a frame; ``before`` is the state to return to if that fails."""
-        frame_index = len(self.history)
-        step_covariance = None if covariance is None else rotation_first(covariance, frame_index)
-        T_odom_camera = checked_pose(T_odom_camera, frame_index, frame.stamp_s)
-        if T_view_camera is not None:
-            name = "T_view_camera"
-            T_view_camera = checked_pose(T_view_camera, frame_index, frame.stamp_s, name=name)
-        frame = self._checks.check(frame, self.history.last_stamp_s)
-        frame = quantize_depth(frame.corrected(self.sensor))
-        with self._clock.stage("track"):
-            track = self._tracker.track(frame, T_odom_camera, step_covariance)
-        segment = LOST if track.is_lost else track.segment
-        self.history.frames.append(
-            FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
-        )
-        if self._begins_segment(track):
-            self._selector.reset()
-            # Relocalisation was confirmed by the frame before, so it belongs to the new segment.
-            self.history.assign_previous(track.segment)
-        is_keyframe = False
-        if self._mapping.is_full:
-            self.n_postponed += 1
-        elif not track.is_lost and self._selector.select(
-            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
-        ):
-            is_keyframe = True
-            before.save(self._mapping)
-            self._tracker.keep()
-            self.history.frames[-1] = replace(
-                self.history.frames[-1], step_covariance=track.step_covariance
+            frame_index = len(self.history)
+            step_covariance = (
+                None if covariance is None else rotation_first(covariance, frame_index)
             )
-            self._segment = track.segment
-            is_saved = self.journal is not None
-            state = self._state() if is_saved else {}
-            update = self._mapping.submit(
-                KeyframeJob(frame_index, frame, T_odom_camera, track, state, is_saved)
+            T_odom_camera = checked_pose(T_odom_camera, frame_index, frame.stamp_s)
+            if T_view_camera is not None:
+                name = "T_view_camera"
+                T_view_camera = checked_pose(T_view_camera, frame_index, frame.stamp_s, name=name)
+            frame = self._checks.check(frame, self.history.last_stamp_s)
+            frame = quantize_depth(frame.corrected(self.sensor))
+            with self._clock.stage("track"):
+                track = self._tracker.track(frame, T_odom_camera, step_covariance)
+            segment = LOST if track.is_lost else track.segment
+            self.history.frames.append(
+                FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
             )
-            if update is not None:
-                self._apply(update)
-        self._last = track, T_odom_camera
-        return replace(self._step(track, T_odom_camera), is_keyframe=is_keyframe)
+            if self._begins_segment(track):
+                self._selector.reset()
+                # The frame before has confirmed relocalisation: it belongs to the new segment.
+                self.history.assign_previous(track.segment)
+            is_keyframe = False
+            if self._mapping.is_full:
+                self.n_postponed += 1
+            elif not track.is_lost and self._selector.select(
+                frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
+            ):
+                is_keyframe = True
+                before.save(self._mapping)
+                self._tracker.keep()
+                self.history.frames[-1] = replace(
+                    self.history.frames[-1], step_covariance=track.step_covariance
+                )
+                self._segment = track.segment
+                is_saved = self.journal is not None
+                state = self._state() if is_saved else {}
+                update = self._mapping.submit(
+                    KeyframeJob(frame_index, frame, T_odom_camera, track, state, is_saved)
+                )
+                if update is not None:
+                    self._apply(update)
+            self._last = track, T_odom_camera
+            return replace(self._step(track, T_odom_camera), is_keyframe=is_keyframe)
 
     def _step(self, track: Track, T_odom_camera: Pose) -> Step:
         """Return the result of a frame, and of the keyframes that are in the map since the last."""
@@ -271,12 +262,12 @@ class LoopCloser:
         ValueError
             If the points are not (N, 3).
         """
-        with self._call() as before:
+        with self._call():
             T_odom_camera = checked_pose(T_odom_camera, len(self.history), stamp_s)
             has_camera = self._checks.camera is not None
             frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
             T_odom_view, T_view_camera = T_odom_camera @ T_camera_view, se3.inverse(T_camera_view)
-            step = self._process(before, frame, T_odom_view, None, T_view_camera)
+            step = self.process(frame, T_odom_view, T_view_camera=T_view_camera)
             if not has_camera and not frame.depth.any():
                 self._checks.camera = None  # of an empty cloud; the next counts as the first
             return step
@@ -427,8 +418,12 @@ class LoopCloser:
     def _call(self, *, wait: bool = False) -> Iterator[Checkpoint]:
         """Run a call alone, and whole or not at all; return the state before it.
 
-        With ``wait`` all keyframes so far are in the map before it begins.
+        With ``wait`` all keyframes so far are in the map before it begins. A part of another call,
+        such as the frame of a cloud, is as whole as that call.
         """
+        if (before := self._calls.current) is not None:
+            yield before
+            return
         with self._calls.alone():
             self._mapping.send()
             if wait:

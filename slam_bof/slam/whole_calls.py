@@ -53,6 +53,11 @@ class WholeCalls:
             finally:
                 self._owner = None
 
+    @property
+    def current(self) -> Checkpoint | None:
+        """The state before the call that this thread is in, None where it is in none."""
+        return self._before if self._owner == threading.get_ident() else None
+
     @contextmanager
     def whole(self, before: Checkpoint) -> Iterator[Checkpoint]:
         """Return to the state ``before`` if what follows fails, even by Ctrl-C; within ``alone``.

@@ -53,7 +53,8 @@ def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -
     Raises
     ------
     MapError
-        If the map is damaged, or its last run was interrupted.
+        If the map is damaged, or its last run was interrupted; then nothing is dropped. Or if the
+        file cannot be made smaller, such as on a full disk, after the keyframes were dropped.
     """
     require_intact(path)
     with MapStore.open(path, read_only=False) as store:
@@ -72,7 +73,13 @@ def prune_map(path: Path | str, choose: Callable[[MapStore], Collection[int]]) -
             _freeze_map_poses(store, db)
             drop_keyframes(db, dropped)
             _link_segments(store, db, components[kept])
-        store.vacuum()
+        try:
+            store.vacuum()
+        except MapError as error:
+            raise MapError(
+                f"{error}; {len(dropped)} of {len(components)} keyframes are dropped all the "
+                f"same, but the file is not smaller yet: slam-bof map vacuum {path}"
+            ) from error
     return len(dropped)
 
 

@@ -1,12 +1,13 @@
 """Weigh odometry against alignment with a keyframe by the noise that each shows.
 
-Alignment does not drift but errs anew in each frame, by some mm. Odometry drifts; from frame to
-frame it may err by less than alignment (scan to a fine map) or by far more (scan to a coarse one).
-Three variances tell: of odometry's drift in a step, and of what either errs by anew. They show in
-the differences between the steps of both: the two noises make one difference the opposite of the
-last, drift does not (as in Mehra, IEEE T-AC 1970); and which of the two noises is the greater shows
-in how unsteadily each moves. The correction of the drift then follows a Kalman filter in its steady
-state, and the pose lies between the corrected odometry and the alignment.
+Alignment does not drift; its errors, of some mm, are independent from frame to frame. Odometry
+drifts; from frame to frame it may err by less than alignment (scan to a fine map) or by far more
+(scan to a coarse one). Three variances describe this: of odometry's drift in a step, and of the
+independent errors of either. They show in the differences between the steps of both: the two noises
+make one difference the opposite of the last, drift does not (as in Mehra, IEEE T-AC 1970); and
+which of the two noises is the greater shows in how unsteadily each moves. The correction of the
+drift then follows a Kalman filter in its steady state, and the pose lies between the corrected
+odometry and the alignment.
 """
 
 from __future__ import annotations

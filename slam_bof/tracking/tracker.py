@@ -42,9 +42,9 @@ OPEN_VARIANCE = 1e4
 class Track:
     """Where a frame is.
 
-    ``T_odom_camera`` (4, 4) is the odometry's pose with all its slips so far mended; while
-    ``is_lost`` it follows the odometry's motion, for want of better. ``segment`` counts how
-    often the track began anew: what the poses of two segments say of each other is a guess.
+    ``T_odom_camera`` (4, 4) is the odometry's pose, corrected by the alignment of all frames so
+    far; while ``is_lost`` it follows the odometry's motion. ``segment`` counts how often the track
+    was restarted: the relative pose of two segments is a guess.
     ``inlier_ratio`` is the share of points that the last keyframe sees too, NaN where not measured.
     ``open_axes`` (6, k) are tangents of the pose, rotation first, along which the surfaces hold
     nothing. ``step_covariance`` (6, 6) is that of the step since the last keyframe, rotation first,

@@ -14,6 +14,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from slam_bof.core import refuse_named_pipe
 from slam_bof.errors import PluginError
 from slam_bof.geometry import se3, view_points
 from slam_bof.scenes import MapRoom
@@ -68,6 +69,7 @@ class RerunRecording:
         if target == LIVE:
             self._stream.spawn()
         else:
+            refuse_named_pipe(Path(target))
             Path(target).open("wb").close()  # rerun's own error does not name the file
             self._stream.save(target)
 

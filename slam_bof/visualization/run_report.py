@@ -107,18 +107,24 @@ def _plan_section(data: ReportData) -> str:
         "The place from above: walls and furniture are dark, what was seen to be free is light, "
         "in the colour of its room, and what was not seen is grey. Points are keyframes."
     )
-    n_components = data.metrics.get("n_components")
-    if isinstance(n_components, int) and n_components > 1:
-        text += (
-            f" The map has {n_components} components that no loop has joined, and how they lie to "
-            "each other is unknown: each has a plan of its own, the largest first."
-        )
+    text += _note_on_components(data, "each has a plan of its own, the largest first")
     names = ("plan", *(f"plan-{n}" for n in range(2, len(data.plans) + 1)))
     figures = [
         page.figure_html(draw_plan(plan), name)
         for plan, name in zip(data.plans, names, strict=True)
     ]
     return page.section("Place", text, "".join(figures))
+
+
+def _note_on_components(data: ReportData, how: str) -> str:
+    """Return a sentence to be added where the map has several components."""
+    n_components = data.metrics.get("n_components")
+    if not (isinstance(n_components, int) and n_components > 1):
+        return ""
+    return (
+        f" The map has {n_components} components that no loop has joined, and how they lie to each "
+        f"other is unknown: {how}."
+    )
 
 
 def _health_section(data: ReportData) -> str:
@@ -169,12 +175,7 @@ def _trajectory_section(data: ReportData, truth: Trajectory | None) -> str:
             "The path of the camera by odometry alone, and after correction by loops, each "
             "rigidly aligned with ground truth, as for the absolute trajectory error (ATE)."
         )
-    n_components = data.metrics.get("n_components")
-    if isinstance(n_components, int) and n_components > 1:
-        text += (
-            f" The map has {n_components} components that no loop has joined, each in a colour of "
-            "its own: how they lie to each other is unknown."
-        )
+    text += _note_on_components(data, "each has a colour of its own")
     poses = aligned_poses(data, truth)
     T_level = level_axes(poses["optimized"])
     paths = {name: se3.transform(T_level, p[:, :3, 3]).round(4) for name, p in poses.items()}

@@ -55,6 +55,8 @@ def test_run_prints_a_table_and_says_where_the_files_are(
     result = slam_bof("run", room, "-o", tmp_path, "--model", model_file, "--max-frames", 3)
     assert result.exit_code == 0, result.output
     assert "ATE with loops" in result.stdout
+    for kind in ("single image", "smoothed"):  # which label is counted
+        assert f"Correct scene labels ({kind})" in result.stdout
     assert f"Files: {(tmp_path / 'latest').resolve()}" in result.stdout
     assert "box/seq-01: 3/3" in result.stderr, "progress without a terminal"
 

@@ -7,10 +7,12 @@ import sys
 from importlib import metadata
 
 import pytest
+import typer
 from typer.testing import CliRunner
 
 import slam_bof
 from slam_bof.cli import app, main
+from slam_bof.cli.app import OneLineErrors
 
 VERSION = metadata.version("slam-bof")
 
@@ -48,3 +50,22 @@ def test_ctrl_c_before_a_command_has_begun_is_one_line(
         main()
     assert caught.value.code == 130
     assert capsys.readouterr().err == "error: interrupted\n"
+
+
+@pytest.mark.parametrize(("cause", "code"), [(KeyboardInterrupt(), 130), (ValueError("bug"), 1)])
+def test_ctrl_c_within_c_code_is_one_line_too(cause: BaseException, code: int) -> None:
+    """Numba's loader reports it so; any other such error is a bug, and shown as one."""
+    commands = typer.Typer(cls=OneLineErrors)
+
+    @commands.command()
+    def load() -> None:
+        raise SystemError("<function> returned a result with an exception set") from cause
+
+    @commands.command()
+    def other() -> None:
+        pass
+
+    result = CliRunner().invoke(commands, ["load"])
+    assert result.exit_code == code
+    assert result.stderr == ("error: interrupted\n" if code == 130 else "")
+    assert isinstance(result.exception, SystemExit if code == 130 else SystemError)

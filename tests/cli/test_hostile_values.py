@@ -126,6 +126,11 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
         ["run"],
         ["query", "keyframes"],
         ["show", "--out", "page.svg"],
+        ["show", "seq", "--out"],
+        ["report", "seq", "--out"],
+        ["export", "map.db", "--format", "ply", "--out"],
+        ["evaluate", "places", "seq", "--curves"],
+        ["evaluate", "places", "seq", "--misses"],
     ],
 )
 def test_a_named_pipe_is_not_waited_for(

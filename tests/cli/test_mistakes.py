@@ -124,7 +124,7 @@ def test_interrupting_leaves_a_readable_map(room: Path, model_file: Path, tmp_pa
         )
     out = tmp_path / "runs"
     process = in_process("run", sequence, "-o", out, "--model", model_file, "--quiet")
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     map_file = out / "latest" / "map.db"
     while process.poll() is None and time.monotonic() < deadline:
         if map_file.exists() and json.loads(slam_bof("query", map_file, "--json").stdout or "[]"):

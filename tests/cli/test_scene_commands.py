@@ -165,6 +165,12 @@ def test_training_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
     assert "found a folder, expected the name of a file" in refusal(
         "train", *labels(boxes), "-o", tmp_path, "--quiet"
     )
+    assert "/dev/null: found a device or pipe, expected the name of a file" in refusal(
+        "train", *labels(boxes), "-o", "/dev/null", "--quiet"
+    )
+    assert f"{__file__}: File exists" in refusal(
+        "train", *out, *labels(boxes), "--page", __file__, "--quiet"
+    )
     assert slam_bof("train", *hall, "-o", "x.bof", "--classifier", "magic").exit_code == 2
     assert "--page: found without a check" in refusal(
         "train", *out, *labels(boxes), "--no-check", "--page", tmp_path

@@ -138,6 +138,9 @@ def test_the_plan_is_as_map_server_has_it(store, turn, room, tmp_path):
 
     assert value(0.0, 0.0) == FREE  # where the camera stands
     assert value(found["origin"][0] + 0.03, found["origin"][1] + 0.03) == UNKNOWN
+    T_plan_camera = np.array(found["T_plan_map"]) @ store.map_poses()
+    assert all(value(x, y) == FREE for x, y in T_plan_camera[:, :2, 3])
+    np.testing.assert_allclose(T_plan_camera[:, 2, 3], 1.3, atol=0.05)  # above the floor
 
 
 def test_the_plan_agrees_with_the_room(turn, room):

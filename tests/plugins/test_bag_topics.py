@@ -51,6 +51,16 @@ def test_topics_are_chosen_by_options(tmp_path: Path) -> None:
     )
 
 
+def test_names_of_any_length_are_refused_in_a_line_of_moderate_length(tmp_path: Path) -> None:
+    with writing(tmp_path, "mcap") as (bag, path):
+        bag.camera(INFO)
+        bag.image(f"/{'[' * 4000}", time_ns(0), ramp(), "bgr8")
+    said = refusal("bag", path)
+    assert f"{path}: found no depth images (of images: /[[[" in said
+    assert said.endswith("expected a topic of 16UC1 or 32FC1, raw or compressedDepth")
+    assert len(said) < 1000
+
+
 def test_recordings_of_the_realsense_viewer(tmp_path: Path) -> None:
     sensor = "/device_0/sensor_0"
     with writing(tmp_path, "ros1", "LZ4") as (bag, path):

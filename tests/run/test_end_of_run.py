@@ -167,6 +167,7 @@ def test_the_log_has_warnings_of_plugins_and_how_the_run_ended(monkeypatch, tmp_
     def warn_and_fail(self, index):
         if index == 5:
             logging.getLogger("slam_bof_plugins.dataset_box").warning("a strange frame")
+            logging.getLogger("slam_bof_plugins.dataset_box").info("taking /camera_info")
             logging.getLogger("stranger").info("nothing of interest")
             logging.getLogger("stranger").warning("a strange plug-in")
         if index == 9:
@@ -174,12 +175,13 @@ def test_the_log_has_warnings_of_plugins_and_how_the_run_ended(monkeypatch, tmp_
         return frame(self, index)
 
     monkeypatch.setattr(BoxRoom, "frame", warn_and_fail)
-    monkeypatch.setattr("slam_bof.run.run.find_doubts", lambda dataset: [])
+    monkeypatch.setattr("slam_bof.run.job.find_doubts", lambda dataset: [])
     with pytest.raises(RuntimeError):
         run(tmp_path)
     (log,) = tmp_path.glob("2*/run.log")
     lines = log.read_text().splitlines()
     assert any("WARNING slam_bof_plugins.dataset_box: a strange frame" in line for line in lines)
+    assert any("INFO slam_bof_plugins.dataset_box: taking /camera_info" in line for line in lines)
     assert any("WARNING stranger: a strange plug-in" in line for line in lines)
     assert not any("nothing of interest" in line for line in lines)
     assert lines[-1].endswith("failed: RuntimeError: the cable is out")

@@ -157,10 +157,10 @@ def test_the_process_ends_with_its_loop_closer(walk):
     closer = LoopCloser.from_preset(background=True)
     process = closer._mapping._process
     closer.process(*walk[0])
-    closer.drain()  # the process is killed if it takes seconds to end
+    closer.drain()
     del closer
     gc.collect()  # its map refers back to it
     deadline_s = time.monotonic() + 10.0
     while process.poll() is None and time.monotonic() < deadline_s:
         time.sleep(0.05)
-    assert process.returncode == 0
+    assert process.returncode in (0, -signal.SIGKILL)  # killed if it takes five seconds to end

@@ -72,13 +72,17 @@ def found_by(attempt: Callable[[], object]) -> str:
     return ""
 
 
+UNREADABLE_WITHOUT = (20, *range(28, 32))
+"""Bytes of SQLite's header without which nothing can be read: how much of each page is reserved,
+and the number of pages."""
+
+
 @pytest.mark.parametrize("where", ["anywhere", "header", "statements"])
 def test_a_flipped_bit_is_named_or_does_no_harm(where: str, original: Path, path: Path) -> None:
     data, expected = original.read_bytes(), content(original)
     rng = random.Random(where)
     statements = [at for at in range(len(data)) if data.startswith(b"CREATE ", at)]
     out = path.with_name("recovered.db")
-    n_harmless = n_recovered = 0
     for _ in range(25):
         at = {
             "anywhere": rng.randrange(len(data)),
@@ -90,16 +94,13 @@ def test_a_flipped_bit_is_named_or_does_no_harm(where: str, original: Path, path
         damage: list[object] = []
         if not found_by(lambda d=damage: d.extend(check_map(path))) and not damage:
             assert content(path) == expected, at
-            n_harmless += 1
             continue
         out.unlink(missing_ok=True)
         if found_by(lambda: recover_map(path, out)):
             assert not out.exists()
+            assert at in UNREADABLE_WITHOUT
             continue
         assert check_map(out) == [], at
-        n_recovered += 1
-    # With another size of a page's reserved space, or fewer pages, nothing can be read.
-    assert n_harmless + n_recovered >= 23
 
 
 def test_a_damaged_layout_is_named_and_put_back(path: Path) -> None:
@@ -203,8 +204,9 @@ def test_a_file_of_a_terabyte_that_is_no_database_is_not_copied(tmp_path: Path) 
     assert not (tmp_path / "out.db").exists()
 
 
-def test_rows_of_a_broken_page_are_named(path: Path, original: Path) -> None:
+def test_a_broken_page_is_named_or_reads_as_before(path: Path, original: Path) -> None:
     """A page of depth images whose keys are out of order finds some rows no more, or as nothing."""
+    expected = content(original)
     with closing(sqlite3.connect(path)) as db:
         ((page,),) = db.execute("SELECT rootpage FROM sqlite_master WHERE name = 'views'")
         ((size,),) = db.execute("PRAGMA page_size")
@@ -215,8 +217,9 @@ def test_rows_of_a_broken_page_are_named(path: Path, original: Path) -> None:
         for _ in range(30):
             broken[start + rng.randrange(size)] = rng.randrange(256)
         path.write_bytes(broken)
-        try:
-            n_named += bool(list(check_map(path)))
-        except MapError:
+        damage: list[object] = []
+        if found_by(lambda d=damage: d.extend(check_map(path))) or damage:
             n_named += 1
-    assert n_named > 5
+        else:
+            assert content(path) == expected
+    assert n_named

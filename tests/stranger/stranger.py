@@ -18,7 +18,7 @@ class NpzSequence(ports.Dataset):  # depth.npz: depth (N, H, W) uint16 mm; camer
     def __len__(self): return len(self.depth)
     def frame(self, index): return DepthFrame(index / 30, self.depth[index], self.intrinsics)
 
-class Still(ports.Odometry):  # knows nothing: tracking mends what it can
+class Still(ports.Odometry):  # knows nothing: tracking corrects what it can
     def process(self, frame): return np.eye(4)
 
 class Picky(ProjectiveVerifier):

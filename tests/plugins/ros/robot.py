@@ -115,7 +115,12 @@ class Robot:
         return self._run("-m", "slam_bof_ros.node", "--ros-args", *options)
 
     def play(self, frames: Sequence[tuple[DepthFrame, Pose]], name: str = "walk") -> Path:
-        """Play frames with their odometry; return the bag that has them."""
+        """Play frames with their odometry; return the bag that has them.
+
+        It begins when all that the node publishes is heard.
+        """
+        topics = [topic for _, topic, _ in TOPICS.values()]
+        self.wait_until(lambda: all(map(self._listener.count_publishers, topics)))
         bag = write_bag(self._folder / name, frames)
         player = self._run(str(Path(__file__).with_name("player.py")), str(bag), str(PERIOD_S))
         self.wait_until(lambda: player.poll() is not None)
