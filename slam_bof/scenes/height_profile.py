@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from slam_bof.scenes.levelled_cloud import LevelledCloud
 from slam_bof.types import Array
 
-__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "measure_profile"]
+__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "SURFACE_SHARE", "measure_profile"]
 
 Floats = NDArray[np.float32]
 
@@ -38,6 +38,8 @@ N_PROFILE_VALUES = (
 """Length of a profile."""
 FLOOR_SEEN = N_PROFILE_VALUES - 2
 """Index of the value that says whether the floor is seen."""
+SURFACE_SHARE = N_PROFILE_VALUES - 1
+"""Index of the share of pixels with a surface."""
 
 
 def measure_profile(cloud: LevelledCloud) -> Floats:

@@ -8,18 +8,26 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
-from scipy.special import log_softmax, softmax
+from scipy.special import softmax
 
 from slam_bof.bof import Vocabulary
+from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.continued_training import continue_network
-from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, measure_profile
+from slam_bof.scenes.contour_tokens import contour_tokens
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
 from slam_bof.scenes.levelled_cloud import levelled_cloud
-from slam_bof.scenes.mlp_ensemble import TEMPERATURES, MlpEnsemble
+from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
-__all__ = ["LevelledClassifier", "LevelledFeatures", "levelled_features", "room_network"]
+__all__ = [
+    "LevelledClassifier",
+    "LevelledFeatures",
+    "levelled_features",
+    "room_network",
+    "sample_weights",
+    "with_copies",
+]
 
 MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
 """Least numbers that a model may divide by."""
@@ -27,8 +35,6 @@ MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
 N_WORDS = 400
 MAX_SHAPES = 40_000
 """The vocabulary is learnt from at most this many shapes, drawn at random."""
-MAX_WARMING = 4.0
-"""Largest ``assumed_floor_warming``."""
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
 
 
@@ -38,24 +44,27 @@ class LevelledFeatures:
 
     ``profile`` (N_PROFILE_VALUES,) is the height profile, ``shapes`` (C, N_SHAPE_VALUES) has a
     descriptor of each contour. ``otherwise`` are the features if the floor is where it may be
-    instead (``LevelledCloud.possible_height_m``).
+    instead (``LevelledCloud.possible_height_m``). ``tokens`` (C, N_TOKEN_VALUES) are for a
+    classifier of constellations; None where there is none.
     """
 
     profile: NDArray[np.float32]
     shapes: NDArray[np.float32]
     otherwise: LevelledFeatures | None = None
+    tokens: NDArray[np.float32] | None = None
 
 
 def levelled_features(
-    frame: DepthFrame, *, gravity_camera: Array | None = None
+    frame: DepthFrame, *, gravity_camera: Array | None = None, with_tokens: bool = False
 ) -> LevelledFeatures:
-    """Return the features of a frame; parameters are those of ``levelled_cloud``."""
+    """Return the features of a frame; other parameters are those of ``levelled_cloud``."""
     cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
     otherwise = None
     if cloud.possible_height_m is not None:
         near = replace(cloud, camera_height_m=cloud.possible_height_m, floor_seen=True)
         otherwise = LevelledFeatures(measure_profile(near), shape_descriptors(near))
-    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud), otherwise)
+    tokens = contour_tokens(cloud) if with_tokens else None
+    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud), otherwise, tokens)
 
 
 def room_network(seed: int = 0) -> MlpEnsemble:
@@ -67,14 +76,13 @@ def room_network(seed: int = 0) -> MlpEnsemble:
 class LevelledClassifier:
     """A ``Labeller`` by levelled features: a vocabulary of shapes, and a network on all of them.
 
-    The network's input is the height profile and the histogram of shape words. Where no floor is
-    seen, heights above it are assumed; the network's temperature is then multiplied by
-    ``assumed_floor_warming``, so that the label is less certain.
+    The network's input is the height profile and the histogram of shape words. The temperature of
+    its logits is multiplied by the factor of ``warming`` for the view.
     """
 
     vocabulary: Vocabulary
     network: MlpEnsemble
-    assumed_floor_warming: float = 1.0
+    warming: Warming = NO_WARMING
 
     @classmethod
     def fit(
@@ -137,7 +145,7 @@ class LevelledClassifier:
             y,
             None if groups is None else np.asarray(groups)[frame_of],
             n_groups=n_groups,
-            weights=None if weights is None else _balanced(weights, y, frame_of),
+            weights=None if weights is None else sample_weights(weights, y, frame_of),
             calibrate_on=counted[frame_of] & (np.arange(len(y)) < len(features)),
         )
         if weights is None or groups is None:
@@ -149,14 +157,11 @@ class LevelledClassifier:
             vectors, _ = classifier._feature_vectors(unknown, ())
             logits = np.concatenate([logits, network.logits(vectors)])
             weight = np.concatenate([weight, of_unknown])
-        assumed = [
-            _assumes_floor(item) for item in (*(features[k] for k in of_frames.tolist()), *unknown)
-        ]
-        temperature, warming = fit_certainty(
-            logits, np.searchsorted(network.classes_, y[of_frames]), np.array(assumed), weight
+        profiles = [item.profile for item in (*(features[k] for k in of_frames.tolist()), *unknown)]
+        network.temperature_, warming = fit_certainty(
+            logits, np.searchsorted(network.classes_, y[of_frames]), np.array(profiles), weight
         )
-        network.temperature_ = temperature
-        return replace(classifier, assumed_floor_warming=warming)
+        return replace(classifier, warming=warming)
 
     def continue_training(
         self,
@@ -171,7 +176,7 @@ class LevelledClassifier:
         """
         vectors, frame_of = self._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
-        weights = _balanced(np.ones(len(features)), y, frame_of)
+        weights = sample_weights(np.ones(len(features)), y, frame_of)
         return replace(self, network=continue_network(self.network, vectors, y, weights))
 
     def manifest(self) -> dict[str, Any]:
@@ -189,9 +194,7 @@ class LevelledClassifier:
         learnt = {name: getattr(self.network, f"{name}_") for name in NETWORK_ARRAYS}
         temperature = np.array(self.network.temperature_)
         arrays = {"words": self.vocabulary.words_, "temperature": temperature, **learnt}
-        if self.assumed_floor_warming != 1.0:  # absent in older files
-            arrays["assumed_floor_warming"] = np.array(self.assumed_floor_warming)
-        return arrays
+        return arrays | self.warming.arrays()
 
     @classmethod
     def from_arrays(cls, manifest: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -215,7 +218,6 @@ class LevelledClassifier:
             "out": (n_neurons, len(classes)),
             "out_bias": (len(classes),),
         }
-        warming = arrays.get("assumed_floor_warming", np.array(1.0))
         for name, shape in shapes.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
@@ -224,22 +226,18 @@ class LevelledClassifier:
         for name, least in (("scale", MIN_SCALE), ("temperature", MIN_TEMPERATURE)):
             if (found := float(arrays[name].min())) < least:
                 raise ValueError(f"levels/{name}: found {found:g}, expected {least:g} or more")
-        if warming.shape != () or not 1.0 <= warming <= MAX_WARMING:
-            raise ValueError(f"levels/assumed_floor_warming must be a number, 1 to {MAX_WARMING:g}")
         for name in NETWORK_ARRAYS:
             setattr(network, f"{name}_", arrays[name])
         network.classes_, network.n_features_in_ = classes, n_features
         network.temperature_ = float(arrays["temperature"])
         vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
-        return cls(vocabulary, network, float(warming))
+        return cls(vocabulary, network, Warming.from_arrays(arrays))
 
     def _feature_vectors(
         self, features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
         """Return the network's inputs (M, D) for frames and copies, and the frame of each (M,)."""
-        everything = [*features, *(item for items in copies for item in items)]
-        of_copies = [k for k, items in enumerate(copies) for _ in items]
-        frame_of = np.array([*range(len(features)), *of_copies])
+        everything, frame_of = with_copies(features, copies)
         return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
@@ -268,59 +266,23 @@ class LevelledClassifier:
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
 
     def _probabilities(self, features: LevelledFeatures) -> Array:
-        vector = self.feature_vector(features)[None]
-        temperature = self.network.temperature_
-        if _assumes_floor(features):
-            temperature *= self.assumed_floor_warming
-        return np.asarray(softmax(self.network.logits(vector)[0].astype(np.float64) / temperature))
+        logits = self.network.logits(self.feature_vector(features)[None])[0].astype(np.float64)
+        factor = self.warming.factors(features.profile[None])[0]
+        return np.asarray(softmax(logits / (self.network.temperature_ * factor)))
 
 
-def _balanced(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -> Array:
+def with_copies(
+    features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
+) -> tuple[list[LevelledFeatures], NDArray[np.intp]]:
+    """Return the features of frames, then of their copies, and the frame of each (M,)."""
+    of_copies = [k for k, items in enumerate(copies) for _ in items]
+    everything = [*features, *(item for items in copies for item in items)]
+    return everything, np.array([*range(len(features)), *of_copies])
+
+
+def sample_weights(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -> Array:
     """Return the weight of each sample, divided by the root of its class's sum of weights."""
     weight = np.asarray(weights, np.float64)[frame_of]
     _, index = np.unique(y, return_inverse=True)
     weight /= np.sqrt(np.bincount(index, weight))[index]
     return np.asarray(weight * len(weight) / weight.sum())
-
-
-def _assumes_floor(features: LevelledFeatures) -> bool:
-    """Return whether the features have a height profile, of a frame that does not show the floor.
-
-    Comparisons leave it out.
-    """
-    profile = features.profile
-    return len(profile) == N_PROFILE_VALUES and not profile[FLOOR_SEEN]
-
-
-def fit_certainty(
-    logits: NDArray[np.float32],
-    index: NDArray[np.intp],
-    assumed_floor: NDArray[np.bool_],
-    weight: Array,
-) -> tuple[float, float]:
-    """Return the temperature, and its factor where the floor is assumed, at least 1.
-
-    They minimise the cross entropy with the true classes, and with equal probabilities for all
-    classes where a frame shows none of them.
-
-    Parameters
-    ----------
-    logits
-        (N, C) of frames held out from training.
-    index
-        (M,) true classes of the first M of them; the others show no class.
-    assumed_floor, weight
-        (N,) whether the floor was not seen, and the weight of each.
-    """
-    targets = np.full(logits.shape, 1.0 / logits.shape[1])
-    targets[: len(index)] = np.eye(logits.shape[1])[index]
-
-    def cross_entropy(parameters: Array) -> float:
-        temperature = np.exp(parameters[0] + parameters[1] * assumed_floor)
-        logs = log_softmax(logits.astype(np.float64) / temperature[:, None], axis=1)
-        return -float(weight @ (targets * logs).sum(axis=1)) / float(weight.sum())
-
-    bounds = [tuple(np.log(TEMPERATURES)), (0.0, np.log(MAX_WARMING))]
-    best = minimize(cross_entropy, np.array([0.3, 0.1]), bounds=bounds, method="L-BFGS-B").x
-    temperature, warming = np.exp(best)
-    return float(temperature), float(warming)
