@@ -18,6 +18,7 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
+from _rendered_views import RenderedViews
 from numpy.typing import NDArray
 from rich.progress import track
 
@@ -32,7 +33,7 @@ from slam_bof.scenes import (
     remeasure,
     room_network,
 )
-from slam_bof.synthetic import FIRST_KINDS, ROOM_KINDS, messy_views, training_views
+from slam_bof.synthetic import FIRST_KINDS, ROOM_KINDS
 from slam_bof.types import Array, DepthFrame
 
 NYU_CAMERA = {
@@ -58,6 +59,8 @@ SEQUENCES = {
 }
 MESSY_SEED, TIDY_SEED = 4000, 1000
 """Seeds of the first synthetic rooms."""
+MIN_REAL_ROOMS = 3
+"""Classes of at least as many real rooms are learnt from these alone: drawn ones would mislead."""
 REAL, MESSY, TIDY = 0, 1, 2
 WEIGHTS = np.array([1.0, 0.3, 0.2])
 """Weight of a real, a messy and a tidy room."""
@@ -93,27 +96,34 @@ class Rooms:
         return [scene if scene in ROOM_KINDS else UNKNOWN_LABEL for scene in same]
 
     def fit(self, seed: int) -> LevelledClassifier:
-        """Train on the views of known scenes; synthetic rooms count less than real ones.
+        """Train on the views of known scenes; synthetic rooms where there are few real ones.
 
         The more views a room has, the less counts each. Probabilities are calibrated on real
         rooms held out, which count as in training, and on scenes that are no class.
         """
-        is_known = np.array(self.labels()) != UNKNOWN_LABEL
-        known, unknown = self.select(is_known), self.select(~is_known)
-        _, index, counts = np.unique(self.groups, return_inverse=True, return_counts=True)
-        weights = WEIGHTS[self.origins] / np.sqrt(counts[index])
+        labels, groups = np.array(self.labels()), np.array(self.groups)
+        is_known = labels != UNKNOWN_LABEL
+        counts = {k: len(set(groups[self.is_real & (labels == k)])) for k in ROOM_KINDS}
+        scarce = [kind for kind, n_rooms in counts.items() if n_rooms < MIN_REAL_ROOMS]
+        known = self.select(is_known & (self.is_real | np.isin(labels, scarce)))
+        unknown = self.select(~is_known)
         return LevelledClassifier.fit(
             known.features,
             known.labels(),
             known.groups,
             copies=known.copies,
-            weights=weights[is_known],
+            weights=known.weights(),
             calibrate_on=known.is_real,
             unknown=unknown.features,
-            unknown_weights=weights[~is_known],
+            unknown_weights=unknown.weights(),
             network=room_network(seed),
             seed=seed,
         )
+
+    def weights(self) -> Array:
+        """Return the weight of each view (N,)."""
+        _, index, counts = np.unique(self.groups, return_inverse=True, return_counts=True)
+        return WEIGHTS[self.origins] / np.sqrt(counts[index])
 
 
 View = tuple[DepthFrame, Array | None, str, str]
@@ -128,6 +138,7 @@ def collect(
     n_frames: int,
     n_copies: int,
     seed: int,
+    rendered: RenderedViews,
 ) -> Rooms:
     """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room.
 
@@ -135,8 +146,8 @@ def collect(
     """
     parts = (
         real_rooms(data, n_frames, n_copies, seed),
-        messy_rooms(n_messy, n_views, seed),
-        tidy_rooms(n_tidy, n_views),
+        messy_rooms(rendered, n_messy, n_views, seed),
+        tidy_rooms(rendered, n_tidy, n_views),
     )
     return join(parts)
 
@@ -165,13 +176,13 @@ def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
     return replace(rooms, origins=np.full(len(views), REAL))
 
 
-def messy_rooms(n_rooms: int, n_views: int, seed: int) -> Rooms:
+def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
     rng = np.random.default_rng([seed, MESSY])
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
         for kind in ROOM_KINDS:
-            for frame, down in messy_views(kind, number, n_views):
+            for frame, down in rendered.messy(kind, number, n_views):
                 rooms.features.append(_copy(frame, down, rng))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
@@ -179,12 +190,12 @@ def messy_rooms(n_rooms: int, n_views: int, seed: int) -> Rooms:
     return replace(rooms, copies=[[]] * n, origins=np.full(n, MESSY))
 
 
-def tidy_rooms(n_rooms: int, n_views: int) -> Rooms:
+def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
         for kind in FIRST_KINDS:
-            for frame in training_views(kind, number, n_views):
+            for frame, _ in rendered.tidy(kind, number, n_views):
                 rooms.features.append(levelled_features(frame))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
