@@ -15,6 +15,7 @@ from slam_bof.errors import ModelError, PluginError
 from slam_bof.scenes import (
     ConstellationClassifier,
     TransformerTraining,
+    label_frame,
     levelled_features,
     model as models,
 )
@@ -124,6 +125,8 @@ def test_what_labels_constellations_is_kept_as_arrays(tmp_path):
     expected, found = (m.labeller("constellation").label(frame) for m in (model, loaded))
     np.testing.assert_array_equal(found.probabilities, expected.probabilities)
     assert loaded.labeller() is loaded.levelled_classifier
+    answer = label_frame(frame, loaded, name="a.png", source="test", by="constellation")
+    assert answer.probability == found.probability
     with pytest.raises(ModelError, match="found no classifier of constellations, expected one"):
         levelled.labeller("constellation")
 
