@@ -3,7 +3,7 @@
     DATA/nyu_scenes/labels.csv            single images by room, of NYU Depth v2
     DATA/7scenes/redkitchen/seq-01 ...    sequences, each of one room (SEQUENCES)
 
-Scenes that are none of the classes are for measuring only. Every real image is described as it is
+Scenes that are none of the classes tell how certain to be. Every real image is described as it is
 and as other sensors would have measured it; messy synthetic ones only so, since no sensor has
 measured them. Tidy synthetic rooms, as in the demo, are measured by one sensor.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -101,10 +102,8 @@ class Rooms:
         The more views a room has, the less counts each. Probabilities are calibrated on real
         rooms held out, which count as in training, and on scenes that are no class.
         """
-        labels, groups = np.array(self.labels()), np.array(self.groups)
-        is_known = labels != UNKNOWN_LABEL
-        counts = {k: len(set(groups[self.is_real & (labels == k)])) for k in ROOM_KINDS}
-        scarce = [kind for kind, n_rooms in counts.items() if n_rooms < MIN_REAL_ROOMS]
+        labels = np.array(self.labels())
+        is_known, scarce = labels != UNKNOWN_LABEL, self.kinds_below(MIN_REAL_ROOMS)
         known = self.select(is_known & (self.is_real | np.isin(labels, scarce)))
         unknown = self.select(~is_known)
         return LevelledClassifier.fit(
@@ -116,9 +115,16 @@ class Rooms:
             calibrate_on=known.is_real,
             unknown=unknown.features,
             unknown_weights=unknown.weights(),
+            n_words=0,
             network=room_network(seed),
             seed=seed,
         )
+
+    def kinds_below(self, n_rooms: int) -> list[str]:
+        """Return the classes of fewer real rooms than this."""
+        rooms = set(zip(self.labels(), self.groups, self.is_real.tolist(), strict=True))
+        counts = Counter(kind for kind, _, is_real in rooms if is_real)
+        return [kind for kind in ROOM_KINDS if counts[kind] < n_rooms]
 
     def weights(self) -> Array:
         """Return the weight of each view (N,)."""
@@ -142,14 +148,13 @@ def collect(
 ) -> Rooms:
     """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room.
 
-    ``n_messy`` and ``n_tidy`` are the numbers of synthetic rooms of each kind.
+    There are ``n_messy`` and ``n_tidy`` synthetic rooms of each kind that may be needed where some
+    of the real rooms are held out.
     """
-    parts = (
-        real_rooms(data, n_frames, n_copies, seed),
-        messy_rooms(rendered, n_messy, n_views, seed),
-        tidy_rooms(rendered, n_tidy, n_views),
-    )
-    return join(parts)
+    real = real_rooms(data, n_frames, n_copies, seed)
+    kinds = real.kinds_below(2 * MIN_REAL_ROOMS)
+    messy = messy_rooms(rendered, kinds, n_messy, n_views, seed)
+    return join((real, messy, tidy_rooms(rendered, kinds, n_tidy, n_views)))
 
 
 def join(parts: Sequence[Rooms]) -> Rooms:
@@ -169,19 +174,21 @@ def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     views = list(_images(data)) + list(_frames(data, n_frames))
     for frame, down, scene, room in track(views, "Real rooms"):
-        rooms.features.append(levelled_features(frame, gravity_camera=down))
+        rooms.features.append(levelled_features(frame, gravity_camera=down, with_shapes=False))
         rooms.copies.append([_copy(frame, down, rng) for _ in range(n_copies)])
         rooms.scenes.append(scene)
         rooms.groups.append(room)
     return replace(rooms, origins=np.full(len(views), REAL))
 
 
-def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) -> Rooms:
+def messy_rooms(
+    rendered: RenderedViews, kinds: Sequence[str], n_rooms: int, n_views: int, seed: int
+) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
     rng = np.random.default_rng([seed, MESSY])
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
-        for kind in ROOM_KINDS:
+        for kind in kinds:
             for frame, down in rendered.messy(kind, number, n_views):
                 rooms.features.append(_copy(frame, down, rng))
                 rooms.scenes.append(kind)
@@ -190,13 +197,13 @@ def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) 
     return replace(rooms, copies=[[]] * n, origins=np.full(n, MESSY))
 
 
-def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
+def tidy_rooms(rendered: RenderedViews, kinds: Sequence[str], n_rooms: int, n_views: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
-        for kind in FIRST_KINDS:
+        for kind in sorted(set(kinds) & set(FIRST_KINDS)):
             for frame, _ in rendered.tidy(kind, number, n_views):
-                rooms.features.append(levelled_features(frame))
+                rooms.features.append(levelled_features(frame, with_shapes=False))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
     n = len(rooms.features)
@@ -205,7 +212,7 @@ def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
 
 def _copy(frame: DepthFrame, down: Array | None, rng: np.random.Generator) -> LevelledFeatures:
     measured, down = remeasure(frame, rng, down)
-    return levelled_features(measured, gravity_camera=down)
+    return levelled_features(measured, gravity_camera=down, with_shapes=False)
 
 
 def _images(data: Path) -> Iterator[View]:

@@ -15,7 +15,7 @@ from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.continued_training import continue_network
 from slam_bof.scenes.contour_tokens import contour_tokens
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
-from slam_bof.scenes.levelled_cloud import levelled_cloud
+from slam_bof.scenes.levelled_cloud import LevelledCloud, levelled_cloud
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
@@ -55,32 +55,49 @@ class LevelledFeatures:
 
 
 def levelled_features(
-    frame: DepthFrame, *, gravity_camera: Array | None = None, with_tokens: bool = False
+    frame: DepthFrame,
+    *,
+    gravity_camera: Array | None = None,
+    with_shapes: bool = True,
+    with_tokens: bool = False,
 ) -> LevelledFeatures:
-    """Return the features of a frame; other parameters are those of ``levelled_cloud``."""
+    """Return the features of a frame; other parameters are those of ``levelled_cloud``.
+
+    Without shapes there are none, and the features cost less than half.
+    """
     cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
+
+    def describe(cloud: LevelledCloud) -> LevelledFeatures:
+        none = np.empty((0, N_SHAPE_VALUES), np.float32)
+        return LevelledFeatures(
+            measure_profile(cloud), shape_descriptors(cloud) if with_shapes else none
+        )
+
     otherwise = None
     if cloud.possible_height_m is not None:
         near = replace(cloud, camera_height_m=cloud.possible_height_m, floor_seen=True)
-        otherwise = LevelledFeatures(measure_profile(near), shape_descriptors(near))
+        otherwise = describe(near)
     tokens = contour_tokens(cloud) if with_tokens else None
-    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud), otherwise, tokens)
+    return replace(describe(cloud), otherwise=otherwise, tokens=tokens)
 
 
 def room_network(seed: int = 0) -> MlpEnsemble:
     """Return a network, not fitted yet, for a few hundred images of many rooms."""
-    return MlpEnsemble(n_hidden=64, n_networks=4, n_steps=600, n_components=160, seed=seed)
+    return MlpEnsemble(
+        n_hidden=64, n_networks=4, n_steps=600, n_folds=5, n_components=160, seed=seed
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class LevelledClassifier:
-    """A ``Labeller`` by levelled features: a vocabulary of shapes, and a network on all of them.
+    """A ``Labeller`` by levelled features: a network on them, and a vocabulary of shapes, if any.
 
-    The network's input is the height profile and the histogram of shape words. The temperature of
+    The network's input is the height profile and, with a vocabulary, the histogram of shape words.
+    The temperature of
     its logits is multiplied by the factor of ``warming`` for the view.
     """
 
-    vocabulary: Vocabulary
+    vocabulary: Vocabulary | None
     network: MlpEnsemble
     warming: Warming = NO_WARMING
 
@@ -112,7 +129,7 @@ class LevelledClassifier:
         groups, n_groups
             As in ``MlpEnsemble.fit``.
         n_words
-            Number of shape words; fewer where there are fewer shapes.
+            Number of shape words; fewer where there are fewer shapes, and 0 for none.
         network
             The network to fit, by default ``MlpEnsemble`` with its default parameters.
         copies
@@ -129,13 +146,7 @@ class LevelledClassifier:
         seed
             Seed of the vocabulary and of the default network.
         """
-        shapes = np.concatenate([item.shapes for item in features])
-        if len(shapes) == 0:
-            shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
-        if len(shapes) > MAX_SHAPES:
-            rng = np.random.default_rng(seed)
-            shapes = shapes[np.sort(rng.permutation(len(shapes))[:MAX_SHAPES])]
-        vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
+        vocabulary = _learn_words(features, n_words, seed) if n_words else None
         classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
         vectors, frame_of = classifier._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
@@ -181,20 +192,23 @@ class LevelledClassifier:
 
     def manifest(self) -> dict[str, Any]:
         """Return the parameters and classes, as a model file's manifest holds them."""
-        vocabulary = self.vocabulary.get_params()
-        del vocabulary["n_words"]  # known from the words
         classes = [str(label) for label in self.network.classes_]
         network = self.network.get_params()
         if network["n_components"] is None:
             del network["n_components"]  # as in files older than this parameter
-        return {"vocabulary": vocabulary, "network": network, "classes": classes}
+        found = {"network": network, "classes": classes}
+        if self.vocabulary is None:
+            return found
+        vocabulary = self.vocabulary.get_params()
+        del vocabulary["n_words"]  # known from the words
+        return {"vocabulary": vocabulary, **found}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that were learnt, by name."""
         learnt = {name: getattr(self.network, f"{name}_") for name in NETWORK_ARRAYS}
         temperature = np.array(self.network.temperature_)
-        arrays = {"words": self.vocabulary.words_, "temperature": temperature, **learnt}
-        return arrays | self.warming.arrays()
+        words = {} if self.vocabulary is None else {"words": self.vocabulary.words_}
+        return {**words, "temperature": temperature, **learnt, **self.warming.arrays()}
 
     @classmethod
     def from_arrays(cls, manifest: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -205,11 +219,11 @@ class LevelledClassifier:
         KeyError, TypeError, ValueError
             If something is missing or unknown, or shapes do not fit each other.
         """
-        words, classes = arrays["words"], np.array(manifest["classes"])
+        classes = np.array(manifest["classes"])
+        words = arrays["words"] if "vocabulary" in manifest else np.empty((0, N_SHAPE_VALUES))
         network = MlpEnsemble(**manifest["network"])
         n_features, n_neurons = N_PROFILE_VALUES + len(words), network.n_networks * network.n_hidden
         shapes = {
-            "words": (len(words), N_SHAPE_VALUES),
             "temperature": (),
             "mean": (n_features,),
             "scale": (n_features,),
@@ -218,6 +232,8 @@ class LevelledClassifier:
             "out": (n_neurons, len(classes)),
             "out_bias": (len(classes),),
         }
+        if words.shape[1:] != (N_SHAPE_VALUES,):
+            raise ValueError(f"levels/words must be (N, {N_SHAPE_VALUES}), got {words.shape}")
         for name, shape in shapes.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
@@ -230,7 +246,9 @@ class LevelledClassifier:
             setattr(network, f"{name}_", arrays[name])
         network.classes_, network.n_features_in_ = classes, n_features
         network.temperature_ = float(arrays["temperature"])
-        vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
+        vocabulary = None
+        if "vocabulary" in manifest:
+            vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
         return cls(vocabulary, network, Warming.from_arrays(arrays))
 
     def _feature_vectors(
@@ -241,7 +259,9 @@ class LevelledClassifier:
         return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
-        """Return the network's input: the profile, and the square roots of word frequencies."""
+        """Return the network's input: the profile, and square roots of word frequencies, if any."""
+        if self.vocabulary is None:
+            return features.profile
         words = self.vocabulary.lookup(features.shapes)
         counts = np.bincount(words, minlength=self.vocabulary.n_words)
         frequencies = counts / max(len(words), 1)
@@ -251,7 +271,10 @@ class LevelledClassifier:
         self, frame: DepthFrame, *, gravity_camera: Array | None = None, bag: Bag | None = None
     ) -> Scene:
         """Return the scene that a frame shows; the bag is not used."""
-        return self.label_features(levelled_features(frame, gravity_camera=gravity_camera))
+        with_shapes = self.vocabulary is not None
+        return self.label_features(
+            levelled_features(frame, gravity_camera=gravity_camera, with_shapes=with_shapes)
+        )
 
     def label_features(self, features: LevelledFeatures) -> Scene:
         """Return the scene by the features of a frame; the mean over both heights, if two may be.
@@ -269,6 +292,16 @@ class LevelledClassifier:
         logits = self.network.logits(self.feature_vector(features)[None])[0].astype(np.float64)
         factor = self.warming.factors(features.profile[None])[0]
         return np.asarray(softmax(logits / (self.network.temperature_ * factor)))
+
+
+def _learn_words(features: Sequence[LevelledFeatures], n_words: int, seed: int) -> Vocabulary:
+    shapes = np.concatenate([item.shapes for item in features])
+    if len(shapes) == 0:
+        shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
+    if len(shapes) > MAX_SHAPES:
+        rng = np.random.default_rng(seed)
+        shapes = shapes[np.sort(rng.permutation(len(shapes))[:MAX_SHAPES])]
+    return Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
 
 
 def with_copies(

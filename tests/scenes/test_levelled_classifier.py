@@ -8,6 +8,7 @@ from slam_bof.scenes import LevelledClassifier, levelled_features
 from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, SURFACE_SHARE
 from slam_bof.scenes.levelled_classifier import Warming, fit_certainty
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
+from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 
 
 def frames(seed, n=24):
@@ -37,6 +38,20 @@ def test_unseen_views_are_labelled(scenes):
     assert scene.classes == ("bench", "counter")
     assert scene.probability == scene.probabilities.max()
     assert scene.probabilities.sum() == pytest.approx(1.0)
+
+
+def test_words_can_be_left_out():
+    views = [levelled_features(frame, with_shapes=False) for frame, _ in frames(0)]
+    assert all(item.shapes.shape == (0, N_SHAPE_VALUES) for item in views)
+    network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
+    labels = [label for _, label in frames(0)]
+    fitted = LevelledClassifier.fit(views, labels, n_words=0, network=network)
+    again = LevelledClassifier.from_arrays(fitted.manifest(), fitted.arrays())
+    assert "words" not in fitted.arrays()
+    for frame, label in frames(1, n=6):
+        scene = fitted.label(frame)
+        assert scene.label == label
+        np.testing.assert_array_equal(again.label(frame).probabilities, scene.probabilities)
 
 
 def test_nothing_seen_is_labelled_too(scenes):
