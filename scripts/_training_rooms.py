@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -60,8 +59,6 @@ SEQUENCES = {
 }
 MESSY_SEED, TIDY_SEED = 4000, 1000
 """Seeds of the first synthetic rooms."""
-MIN_REAL_ROOMS = 3
-"""Classes of at least as many real rooms are learnt from these alone: drawn ones would mislead."""
 REAL, MESSY, TIDY = 0, 1, 2
 WEIGHTS = np.array([1.0, 0.3, 0.2])
 """Weight of a real, a messy and a tidy room."""
@@ -97,15 +94,13 @@ class Rooms:
         return [scene if scene in ROOM_KINDS else UNKNOWN_LABEL for scene in same]
 
     def fit(self, seed: int) -> LevelledClassifier:
-        """Train on the views of known scenes; synthetic rooms where there are few real ones.
+        """Train on the views of known scenes; synthetic rooms count less than real ones.
 
         The more views a room has, the less counts each. Probabilities are calibrated on real
         rooms held out, which count as in training, and on scenes that are no class.
         """
-        labels = np.array(self.labels())
-        is_known, scarce = labels != UNKNOWN_LABEL, self.kinds_below(MIN_REAL_ROOMS)
-        known = self.select(is_known & (self.is_real | np.isin(labels, scarce)))
-        unknown = self.select(~is_known)
+        is_known = np.array(self.labels()) != UNKNOWN_LABEL
+        known, unknown = self.select(is_known), self.select(~is_known)
         return LevelledClassifier.fit(
             known.features,
             known.labels(),
@@ -119,12 +114,6 @@ class Rooms:
             network=room_network(seed),
             seed=seed,
         )
-
-    def kinds_below(self, n_rooms: int) -> list[str]:
-        """Return the classes of fewer real rooms than this."""
-        rooms = set(zip(self.labels(), self.groups, self.is_real.tolist(), strict=True))
-        counts = Counter(kind for kind, _, is_real in rooms if is_real)
-        return [kind for kind in ROOM_KINDS if counts[kind] < n_rooms]
 
     def weights(self) -> Array:
         """Return the weight of each view (N,)."""
@@ -148,13 +137,14 @@ def collect(
 ) -> Rooms:
     """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room.
 
-    There are ``n_messy`` and ``n_tidy`` synthetic rooms of each kind that may be needed where some
-    of the real rooms are held out.
+    ``n_messy`` and ``n_tidy`` are the numbers of synthetic rooms of each kind.
     """
-    real = real_rooms(data, n_frames, n_copies, seed)
-    kinds = real.kinds_below(2 * MIN_REAL_ROOMS)
-    messy = messy_rooms(rendered, kinds, n_messy, n_views, seed)
-    return join((real, messy, tidy_rooms(rendered, kinds, n_tidy, n_views)))
+    parts = (
+        real_rooms(data, n_frames, n_copies, seed),
+        messy_rooms(rendered, n_messy, n_views, seed),
+        tidy_rooms(rendered, n_tidy, n_views),
+    )
+    return join(parts)
 
 
 def join(parts: Sequence[Rooms]) -> Rooms:
@@ -181,14 +171,12 @@ def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
     return replace(rooms, origins=np.full(len(views), REAL))
 
 
-def messy_rooms(
-    rendered: RenderedViews, kinds: Sequence[str], n_rooms: int, n_views: int, seed: int
-) -> Rooms:
+def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
     rng = np.random.default_rng([seed, MESSY])
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
-        for kind in kinds:
+        for kind in ROOM_KINDS:
             for frame, down in rendered.messy(kind, number, n_views):
                 rooms.features.append(_copy(frame, down, rng))
                 rooms.scenes.append(kind)
@@ -197,11 +185,11 @@ def messy_rooms(
     return replace(rooms, copies=[[]] * n, origins=np.full(n, MESSY))
 
 
-def tidy_rooms(rendered: RenderedViews, kinds: Sequence[str], n_rooms: int, n_views: int) -> Rooms:
+def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
-        for kind in sorted(set(kinds) & set(FIRST_KINDS)):
+        for kind in FIRST_KINDS:
             for frame, _ in rendered.tidy(kind, number, n_views):
                 rooms.features.append(levelled_features(frame, with_shapes=False))
                 rooms.scenes.append(kind)

@@ -220,7 +220,9 @@ class LevelledClassifier:
             If something is missing or unknown, or shapes do not fit each other.
         """
         classes = np.array(manifest["classes"])
-        words = arrays["words"] if "vocabulary" in manifest else np.empty((0, N_SHAPE_VALUES))
+        words = np.empty((0, N_SHAPE_VALUES), np.float32)
+        if "vocabulary" in manifest:
+            words = arrays["words"]
         network = MlpEnsemble(**manifest["network"])
         n_features, n_neurons = N_PROFILE_VALUES + len(words), network.n_networks * network.n_hidden
         shapes = {
