@@ -13,7 +13,7 @@ from slam_bof.core import compiled
 from slam_bof.scenes.levelled_cloud import LevelledCloud
 from slam_bof.types import Array
 
-__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "SURFACE_SHARE", "measure_profile"]
+__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "SURFACE_SHARE", "compile_profile", "measure_profile"]
 
 Floats = NDArray[np.float32]
 
@@ -67,6 +67,12 @@ def measure_profile(cloud: LevelledCloud) -> Floats:
     share = n_surface / (points.shape[0] * points.shape[1])
     state = (cloud.camera_height_m, float(cloud.floor_seen), share)
     return np.concatenate([np.sqrt(squares), extent.ravel(), state]).astype(np.float32)
+
+
+def compile_profile() -> None:
+    """Compile what measures profiles, or load it: the first call would take a second or more."""
+    nothing = np.zeros((1, 1, 3), np.float32)
+    _measure(nothing, nothing, np.float32(1.0), np.float32(1.0))
 
 
 @compiled

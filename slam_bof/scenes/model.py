@@ -32,6 +32,7 @@ from slam_bof.core import parse_npy, read_bytes
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.constellation_classifier import ConstellationClassifier
+from slam_bof.scenes.height_profile import compile_profile
 from slam_bof.scenes.hmm_filter import LabelledBy
 from slam_bof.scenes.labeller import BagLabeller, Labeller
 from slam_bof.scenes.levelled_classifier import LevelledClassifier
@@ -72,7 +73,10 @@ DEFAULT = "default"
 INCLUDED = (DEFAULT, "synthetic")
 """Names of the models that come with slam_bof: one learnt from real and synthetic rooms, one from
 synthetic rooms only, which was the default before."""
-SUPERSEDED = ("9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356",)
+SUPERSEDED = (
+    "9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356",
+    "16bb13fe419f3da0b40af09d1c1f9ae2841cf9bb2009f2b8f0ab41c77f08b09d",
+)
 """Content hashes of earlier default models that are included no more. That of today has the same
 words, idf and classes as they have."""
 LEVELLED, CONSTELLATION = "levels", "constellation"
@@ -119,6 +123,8 @@ class Model:
         ModelError
             If the classifier asked for was not trained, but another.
         """
+        if by != "bag":
+            compile_profile()
         if by == "constellation" and self.constellation_classifier is not None:
             return self.constellation_classifier
         if self.levelled_classifier is not None and by == "levelled":
