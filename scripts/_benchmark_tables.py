@@ -12,7 +12,8 @@ __all__ = ["cost_table", "places_table", "run_table", "scenes_table"]
 
 RUN_COLUMNS = {
     "sequence": "sequence", "n_frames": "frames", "n_keyframes": "keyframes",
-    "ate_odometry_m": "ATE of odometry, m", "ate_m": "ATE after, m", "ate_max_m": "largest, m",
+    "ate_odometry_m": "ATE of odometry, m", "ate_live_m": "ATE live, m", "ate_m": "ATE after, m",
+    "ate_max_m": "largest, m", "keyframe_nees": "NEES, keyframes", "edge_nees": "NEES, edges",
     "rpe_odometry_m": "RPE of odometry, m", "rpe_m": "RPE after, m", "n_loops": "loops",
     "loop_precision": "precision", "loop_recall": "recall", "scene_accuracy": "labels, raw",
     "scene_accuracy_smoothed": "labels, smoothed", "fps": "frames/s",

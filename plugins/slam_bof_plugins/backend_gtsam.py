@@ -19,7 +19,7 @@ from scipy.cluster.hierarchy import DisjointSet
 
 from slam_bof.core import Checkpoint
 from slam_bof.geometry import GraphEdge, loop_information, se3, step_sigmas, write_g2o
-from slam_bof.types import Array, Keyframe, Loop, Params, Pose
+from slam_bof.types import Array, EdgeKind, Keyframe, Loop, Params, Pose
 from slam_bof_plugins.gtsam_contraction import Contraction, attach
 from slam_bof_plugins.gtsam_selection import (
     LOST_SIGMA,
@@ -204,9 +204,10 @@ class GtsamBackend:
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.
 
-        One that says what the map has already waits for the end: where the same place is seen
+        A loop that says what the map has already waits for the end: where the same place is seen
         over and over, iSAM2's tree would become dense and each update slower than the last. The
-        first between two segments never waits: without, the lost step alone would place them.
+        first between two segments never waits: without, the lost step alone would place them. Nor
+        do edges between neighbours in time, without which what they mend a little would add up.
         """
         information = loop_information(loop.information, self.params.loop_sigma)
         noise = gtsam.noiseModel.Gaussian.Information(information)
@@ -215,9 +216,10 @@ class GtsamBackend:
         self._loops[number], self._factors[number] = (edge, noise), self._robust(edge, noise)
         self._weights.append(1.0)
         joins = self._held.merge(*(self._nodes[key].segment for key in (edge.match, edge.query)))
-        if joins or self._is_news(edge):
+        is_news = joins or self._is_news(edge)
+        if is_news or loop.kind != EdgeKind.LOOP:
             self._new_factors.add(self._factors[number])
-            self._has_new_loop = True
+            self._has_new_loop |= is_news
 
     def update(self) -> None:
         """Bring the estimate up to date with the factors added since the last call."""

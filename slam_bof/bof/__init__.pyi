@@ -4,6 +4,9 @@ from .bag_of_words import (
     descriptors as descriptors,
     layer_rows as layer_rows,
 )
+from .compilation import (
+    compile_bof as compile_bof,
+)
 from .compression import (
     pack as pack,
     unpack as unpack,
@@ -38,6 +41,7 @@ from .constellation_packing import (
 from .contours import (
     ContourParams as ContourParams,
     find_contours as find_contours,
+    layer_contours as layer_contours,
 )
 from .descriptor import (
     BofParams as BofParams,

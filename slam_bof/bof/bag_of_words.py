@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.bof.contours import ContourParams, find_contours
+from slam_bof.bof.contours import ContourParams, layer_contours
 from slam_bof.bof.descriptor import BofParams, describe
-from slam_bof.bof.layers import LayerParams, layer_images
+from slam_bof.bof.layers import LayerParams
 from slam_bof.bof.vocabulary import TfIdf, Vocabulary
 from slam_bof.geometry import PointParams, points_camera_f32
 from slam_bof.types import Array, Bag, Contours, DepthFrame, Params
@@ -55,14 +55,7 @@ def layer_rows(
 
 def _contours(frame: DepthFrame, params: PlaceParams, gravity_camera: Array | None) -> Contours:
     points = points_camera_f32(frame, params.points)
-    margin_px = params.contours.margin_px
-    images = layer_images(
-        points,
-        params.layers,
-        gravity_camera=gravity_camera,
-        margin_px=margin_px,
-    )
-    return find_contours(images, params.contours, margin_px=margin_px)
+    return layer_contours(points, params.layers, params.contours, gravity_camera=gravity_camera)
 
 
 class PlaceDescriber:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
+from slam_bof.core import compiled
 from slam_bof.types import Params
 
 __all__ = ["Correspondences", "MatchingParams", "find_correspondences", "weights"]
@@ -118,9 +119,8 @@ def find_correspondences(
     bounds = np.searchsorted(a, np.arange(len(query.codes) + 1))
     for k, (start, stop) in enumerate(pairwise(bounds.tolist())):
         similarity[:, start:stop] = turned[k] @ codes[start:stop].T
-    kept = np.flatnonzero(similarity.max(axis=0, initial=-1.0) > params.min_similarity)
-    a, b, similarity = a.take(kept), b.take(kept), similarity.take(kept, axis=1)
-    yaw, highest = _peak(similarity, yaws)
+    kept, yaw, highest = _peaks(similarity, yaws, np.float32(params.min_similarity))
+    a, b = a.take(kept), b.take(kept)
     query_m, match_m = query.centroids_m.take(a), others.centroids_m.take(b)
     shift = match_m - np.exp(1j * yaw).astype(np.complex64) * query_m
     slices_up = others.slices.take(b) - query.slices.take(a).astype(np.int16)
@@ -157,18 +157,34 @@ def _candidates(
     return np.repeat(np.arange(len(counts)), counts).take(kept), order.take(b.take(kept))
 
 
-def _peak(
-    similarity: NDArray[np.float32], yaws: NDArray[np.float32]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return where similarities (Y, M) are highest, by a parabola through three, and how high."""
-    columns = np.arange(similarity.shape[1])
-    best = similarity.argmax(axis=0)
-    middle = np.clip(best, 1, len(yaws) - 2)
-    left, top, right = (similarity[middle + k, columns] for k in (-1, 0, 1))
-    bend = np.minimum(left - 2 * top + right, np.float32(-1e-6))
-    beside = np.clip(0.5 * (left - right) / bend, -1.0, 1.0)
-    yaw = yaws[middle] + beside * (yaws[1] - yaws[0])
-    return yaw.astype(np.float32), similarity[best, columns]
+@compiled
+def _peaks(
+    similarity: NDArray[np.float32], yaws: NDArray[np.float32], least: np.float32
+) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
+    """Return the pairs (K,) of which a similarity (Y, M) is above the least.
+
+    Also where each is highest, by a parabola through three, and how high.
+    """
+    n_yaws, n_pairs = similarity.shape
+    kept = np.empty(n_pairs, np.intp)
+    yaw, highest = np.empty(n_pairs, np.float32), np.empty(n_pairs, np.float32)
+    half, double = np.float32(0.5), np.float32(2.0)
+    n = 0
+    for pair in range(n_pairs):
+        best = 0
+        for k in range(1, n_yaws):
+            if similarity[k, pair] > similarity[best, pair]:
+                best = k
+        if similarity[best, pair] > least:
+            middle = min(max(best, 1), n_yaws - 2)
+            left, top = similarity[middle - 1, pair], similarity[middle, pair]
+            right = similarity[middle + 1, pair]
+            bend = min(left - double * top + right, np.float32(-1e-6))
+            beside = min(max(half * (left - right) / bend, np.float32(-1.0)), np.float32(1.0))
+            kept[n], highest[n] = pair, similarity[best, pair]
+            yaw[n] = yaws[middle] + beside * (yaws[1] - yaws[0])
+            n += 1
+    return kept[:n], yaw[:n], highest[:n]
 
 
 @lru_cache(maxsize=4)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-import cv2
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
-from slam_bof.types import Contours, Params
+from slam_bof.bof.bit_images import close, outer_contours, pack_bits
+from slam_bof.bof.layers import LayerParams, draw_layers
+from slam_bof.types import Array, Contours, Params
 
-__all__ = ["ContourParams", "find_contours"]
+__all__ = ["ContourParams", "find_contours", "layer_contours"]
 
 
 class ContourParams(Params):
@@ -64,21 +67,41 @@ def find_contours(
     missing = max(params.margin_px - margin_px, 0)
     if missing:
         images = np.pad(images, ((0, 0), (missing, missing), (missing, missing)))
-        margin_px += missing
-    n_layers, height, width = images.shape
-    if images.size == 0:
-        return Contours(points_px=(), layer=np.empty(0, np.int32))
+    return _find(pack_bits(images), images.shape[2], params, margin_px + missing)
+
+
+def layer_contours(
+    points: NDArray[Any],
+    layers: LayerParams,
+    params: ContourParams,
+    *,
+    gravity_camera: Array | None = None,
+) -> Contours:
+    """Return the contours of a cloud's layers: ``find_contours`` of ``layer_images``.
+
+    Parameters
+    ----------
+    points
+        (N, 3) ``points_camera``, in metres; quickest as float32 with contiguous columns.
+    """
+    margin_px = params.margin_px
+    words = draw_layers(points, layers, gravity_camera=gravity_camera, margin_px=margin_px)
+    return _find(words, layers.resolution_px + 2 * margin_px, params, margin_px)
+
+
+def _find(words: NDArray[np.uint32], width: int, params: ContourParams, margin_px: int) -> Contours:
+    """Close images of words (L, H, K) in place, and find their outer contours."""
+    n_layers, height, n_words = words.shape
     min_area_px = params.min_area_share * (height - 2 * margin_px) * (width - 2 * margin_px)
     # All layers are processed in one tall image, where their margins separate them.
-    sheet = images.reshape(n_layers * height, width)
-    kernel = np.ones((params.closing_px, params.closing_px), np.uint8)
-    closed = cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, kernel)
-    # The corners define the same polygon as all pixels, with a quarter of the points.
-    found, _ = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    kept = [contour for contour in found if cv2.contourArea(contour) >= min_area_px]
-    layer = np.array([contour[0, 0, 1] // height for contour in kept], np.int32)
-    origins = np.stack([np.zeros_like(layer), layer * height], axis=1) + np.int32(margin_px)
+    sheet = words.reshape(n_layers * height, n_words)
+    close(sheet, params.closing_px // 2)
+    corners, counts = outer_contours(sheet, min_area_px)
+    layer = corners[np.cumsum(counts) - counts, 1] // max(height, 1)
+    corners -= np.int32(margin_px)
+    corners[:, 1] -= np.repeat(layer * height, counts)
     order = np.argsort(layer, kind="stable")
-    return Contours(
-        points_px=tuple(kept[i][:, 0] - origins[i] for i in order.tolist()), layer=layer[order]
-    )
+    ends = np.cumsum(counts)[order]
+    bounds = zip((ends - counts[order]).tolist(), ends.tolist(), strict=True)
+    found = tuple(corners[start:end] for start, end in bounds)
+    return Contours(found, layer[order].astype(np.int32))

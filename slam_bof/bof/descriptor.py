@@ -76,7 +76,8 @@ def describe(contours: Contours, params: BofParams) -> NDArray[np.float32]:
     if len(contours) == 0:
         return np.empty((0, params.n_values), np.float32)
     closed, starts, ends = _close(contours)
-    step = np.abs(np.diff(closed, append=0.0))
+    step = np.zeros(len(closed))
+    np.abs(closed[1:] - closed[:-1], out=step[:-1])
     step[ends] = 0.0
     centroids, clockwise = _centroids(closed, starts, ends, step)
     if params.sampling == "arc":
@@ -108,12 +109,10 @@ def _close(contours: Contours) -> tuple[Complex, NDArray[np.intp], NDArray[np.in
     counts = np.array([len(points) for points in contours.points_px])
     if counts.min() == 0:
         raise ValueError("a contour must have at least one point, got one with none")
-    starts = np.cumsum(counts) - counts
-    points = np.concatenate(contours.points_px).astype(np.float64)
-    open_: Complex = points.view(np.complex128)[:, 0]
-    closed = np.insert(open_, starts + counts, open_[starts])
-    starts = starts + np.arange(len(counts))
-    return closed, starts, starts + counts
+    points = [part for points in contours.points_px for part in (points, points[:1])]
+    closed: Complex = np.concatenate(points).astype(np.float64).view(np.complex128)[:, 0]
+    ends = np.cumsum(counts + 1) - 1
+    return closed, ends - counts, ends
 
 
 def _centroids(
@@ -122,7 +121,7 @@ def _centroids(
     """Return the centroids (C,), and which contours run clockwise (C,), by Green's theorem."""
     # Relative to each contour's first point, which keeps small far-off areas precise.
     local = closed - np.repeat(closed[starts], ends - starts + 1)
-    following = np.append(local[1:], 0.0)
+    following = np.roll(local, -1)
     cross = local.real * following.imag - local.imag * following.real
     cross[ends] = 0.0  # from the end of one contour to the start of the next
     pair = local + following

@@ -9,14 +9,15 @@ from __future__ import annotations
 
 from typing import NamedTuple, Self
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from slam_bof.bof.bit_images import close, dilate, is_set, n_words, outer_contours, set_bit
+from slam_bof.core import compiled
 from slam_bof.types import Params
 
-__all__ = ["SliceContours", "SliceParams", "find_slice_contours", "slice_images"]
+__all__ = ["SliceContours", "SliceParams", "draw_slices", "find_slice_contours"]
 
 
 class SliceParams(Params):
@@ -89,51 +90,6 @@ class SliceContours(NamedTuple):
     slices: NDArray[np.intp]
 
 
-def slice_images(
-    points_level: NDArray[np.float32], params: SliceParams
-) -> tuple[NDArray[np.uint8], tuple[int, int, int]]:
-    """Draw points in their slices, 1 where a pixel holds at least two of a slice's points.
-
-    Parameters
-    ----------
-    points_level
-        (N, 3) in the levelled frame (x right, y down, z ahead), metres.
-
-    Returns
-    -------
-    images : (K, H, W) uint8
-        Rows along z, columns along x: as many slices and as much of the square as have points,
-        with ``params.margin_px`` empty pixels around these.
-    origin : (int, int, int)
-        Slice, and row and column of the square, of the first pixel.
-    """
-    p, side, margin = params, params.side_px, params.margin_px
-    x, y, z = points_level.T
-    column = np.floor(x * np.float32(1 / p.pixel_m)).astype(np.int32) + side // 2
-    row = np.floor((z - np.float32(p.ahead_m)) * np.float32(1 / p.pixel_m)).astype(np.int32)
-    row += side // 2
-    slab = np.floor((y - np.float32(p.top_m)) * np.float32(1 / p.step_m)).astype(np.int32)
-    inside = (column >= 0) & (column < side) & (row >= 0) & (row < side)
-    inside &= (slab >= 0) & (slab <= p.n_slices)
-    column, row, slab = column[inside], row[inside], slab[inside]
-    if len(slab) == 0:
-        return np.zeros((0, 0, 0), np.uint8), (0, 0, 0)
-    first, last = max(int(slab.min()) - 1, 0), min(int(slab.max()), p.n_slices - 1)
-    origin = first, int(row.min()) - margin, int(column.min()) - margin
-    shape = int(row.max()) - origin[1] + 1 + margin, int(column.max()) - origin[2] + 1 + margin
-    # A slab is half a slice. Two points in one, or one in each, are two in the slice.
-    cells = ((slab - first) * shape[0] + row - origin[1]) * shape[1] + column - origin[2]
-    cells.sort()
-    once = np.zeros((last - first + 2, *shape), np.uint8)
-    twice = np.zeros_like(once)
-    once.reshape(-1)[cells] = 1
-    twice.reshape(-1)[cells[1:][cells[1:] == cells[:-1]]] = 1
-    images = once[:-1] & once[1:]
-    images |= twice[:-1]
-    images |= twice[1:]
-    return images, origin
-
-
 def find_slice_contours(points_level: NDArray[np.float32], params: SliceParams) -> SliceContours:
     """Return the outer contours of all slices, after closing and dilation, any size.
 
@@ -142,24 +98,63 @@ def find_slice_contours(points_level: NDArray[np.float32], params: SliceParams) 
     points_level
         (N, 3) in the levelled frame (x right, y down, z ahead), metres.
     """
-    images, origin = slice_images(points_level, params)
-    n_slices, height, width = images.shape
+    p, margin = params, params.margin_px
+    words = draw_slices(points_level, params)
+    n_slices, height, width = words.shape
     # All slices in one tall sheet: their margins keep them apart, and one call serves all.
-    sheet = images.reshape(n_slices * height, width)
-    if sheet.size:
-        drawn = np.empty_like(sheet)
-        cv2.morphologyEx(sheet, cv2.MORPH_CLOSE, _square(params.closing_px), dst=drawn)
-        cv2.dilate(drawn, _square(params.dilation_px), dst=sheet)
-    found, _ = cv2.findContours(sheet, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
-    counts = np.array([len(contour) for contour in found], np.intp)
-    corners = np.concatenate([np.empty((0, 1, 2), np.int32), *found])[:, 0]
-    slices = corners[np.cumsum(counts) - counts, 1] // max(height, 1)
-    middle = params.side_px // 2 - 0.5
-    column = corners[:, 0] + (origin[2] - middle)
-    row = corners[:, 1] - np.repeat(slices, counts) * height + (origin[1] - middle)
-    corners_m = column * params.pixel_m + 1j * (row * params.pixel_m + params.ahead_m)
-    return SliceContours(corners_m, counts, slices.astype(np.intp) + origin[0])
+    sheet = words.reshape(n_slices * height, width)
+    close(sheet, p.closing_px // 2)
+    dilate(sheet, p.dilation_px // 2)
+    corners, counts = outer_contours(sheet, 0.0)
+    slices = corners[np.cumsum(counts) - counts, 1] // height
+    middle = p.side_px // 2 - 0.5 + margin
+    column = corners[:, 0] - middle
+    row = corners[:, 1] - np.repeat(slices, counts) * height - middle
+    corners_m = column * p.pixel_m + 1j * (row * p.pixel_m + p.ahead_m)
+    return SliceContours(corners_m, counts, slices.astype(np.intp))
 
 
-def _square(side_px: int) -> NDArray[np.uint8]:
-    return np.ones((side_px, side_px), np.uint8)
+def draw_slices(points_level: NDArray[np.float32], params: SliceParams) -> NDArray[np.uint32]:
+    """Draw points (N, 3) in their slices, where a pixel holds at least two of a slice's points.
+
+    Returns
+    -------
+    NDArray[np.uint32]
+        (n_slices, H, K) words of bits (``bit_images``), rows along z, columns along x, with
+        ``params.margin_px`` empty pixels around the square.
+    """
+    p = params
+    height = p.side_px + 2 * p.margin_px
+    once = np.zeros((p.n_slices + 1, height, n_words(height)), np.uint32)
+    twice = np.zeros_like(once)
+    corner = np.array([0.0, p.top_m, p.ahead_m], np.float32)
+    steps = np.array([1 / p.pixel_m, 1 / p.step_m, 1 / p.pixel_m], np.float32)
+    points = np.ascontiguousarray(points_level)
+    _draw_slabs(points, corner, steps, p.side_px, p.margin_px, once, twice)
+    # A slab is half a slice. Two points in one, or one in each, are two in the slice.
+    return (once[:-1] & once[1:]) | twice[:-1] | twice[1:]
+
+
+@compiled
+def _draw_slabs(
+    points: NDArray[np.float32],
+    corner: NDArray[np.float32],
+    steps: NDArray[np.float32],
+    side: int,
+    margin: int,
+    once: NDArray[np.uint32],
+    twice: NDArray[np.uint32],
+) -> None:
+    """Set the pixels of each slab that hold a point, and those that hold more than one."""
+    n_slabs, height, width = once.shape
+    once_rows, twice_rows = once.reshape(-1, width), twice.reshape(-1, width)
+    for i in range(len(points)):
+        column = np.floor((points[i, 0] - corner[0]) * steps[0]) + side // 2
+        slab = np.floor((points[i, 1] - corner[1]) * steps[1])
+        row = np.floor((points[i, 2] - corner[2]) * steps[2]) + side // 2
+        if 0 <= slab < n_slabs and 0 <= row < side and 0 <= column < side:
+            at = int(slab) * height + int(row) + margin, int(column) + margin
+            if is_set(once_rows, *at):
+                set_bit(twice_rows, *at)
+            else:
+                set_bit(once_rows, *at)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
 from slam_bof.bof.constellation_packing import STEPS_PER_M
 from slam_bof.bof.posting_lists import Postings
+from slam_bof.core import compiled
 
 __all__ = ["MAX_VIEWS", "MotionVotes", "count_votes", "phases"]
 
@@ -33,9 +34,8 @@ AXIS_BITS = 4
 YAW_CELL_BITS = YAW_CELLS.astype(np.uint32) << np.uint32(2 * AXIS_BITS)
 MOTION_BITS = 3 + 2 * AXIS_BITS
 MAX_VIEWS = 2 ** (32 - MOTION_BITS)
-FAR = np.uint32(0x10001 * (0xFFFF & -(2 ** (AXIS_BITS + CELL_BITS))))
-"""The bits of a place, relative to the first cell, that only one beyond the last cell has."""
-ALONG_X = np.uint32((2**AXIS_BITS - 1) << AXIS_BITS)
+BEYOND = 2 ** (AXIS_BITS + CELL_BITS)
+"""Steps from the first cell, along x and z, that are beyond the last one."""
 NOWHERE = 2**14 * (1 + 1j)
 """Steps away from anything."""
 NEIGHBOUR = 0.5
@@ -80,21 +80,45 @@ class MotionVotes:
 
         Contours (R,) of the query meet the ``counts`` (R,) postings from ``begin`` (R,) on.
         """
-        begin = begin - (np.cumsum(counts) - counts)
-        at = np.repeat(2 * begin + self._harmonic[contours], counts)
-        at += np.arange(0, 2 * len(at), 2)
-        turn = np.repeat(256 * contours, counts)
-        turn += postings.phases.reshape(-1)[at]
-        at >>= 1
-        moved = postings.places[at].view(np.int16) - self._places[turn].view(np.int16)
-        moved = moved.view(np.uint32)
-        near = np.flatnonzero((moved & FAR) == 0)
-        moved = moved[near]
-        cell = postings.views[at[near]].view(np.uint32) << np.uint32(MOTION_BITS)
-        cell |= self._yaw_cells[turn[near]]
-        cell |= (moved >> np.uint32(CELL_BITS - AXIS_BITS)) & ALONG_X
-        cell |= moved >> np.uint32(16 + CELL_BITS)
-        return np.asarray(cell)
+        return _cells(
+            contours,
+            begin,
+            counts,
+            self._harmonic,
+            self._places,
+            self._yaw_cells,
+            postings.views,
+            postings.places,
+            postings.phases,
+        )
+
+
+@compiled
+def _cells(
+    contours: NDArray[np.intp],
+    begin: NDArray[np.intp],
+    counts: NDArray[np.intp],
+    harmonic: NDArray[np.intp],
+    own_places: NDArray[np.int32],
+    yaw_cells: NDArray[np.uint32],
+    views: NDArray[np.int32],
+    places: NDArray[np.int32],
+    phases: NDArray[np.uint8],
+) -> NDArray[np.uint32]:
+    cells = np.empty(counts.sum(), np.uint32)
+    n = 0
+    for k in range(len(contours)):
+        which = harmonic[contours[k]]
+        for at in range(begin[k], begin[k] + counts[k]):
+            turn = 256 * contours[k] + phases[at, which]
+            # Of 16 bits each, so that what is far one way is far the other way as well.
+            x = ((places[at] & 0xFFFF) - (own_places[turn] & 0xFFFF)) & 0xFFFF
+            z = ((places[at] >> 16) - (own_places[turn] >> 16)) & 0xFFFF
+            if (x | z) < BEYOND:
+                cell = ((x >> CELL_BITS) << AXIS_BITS) | (z >> CELL_BITS)
+                cells[n] = (np.int64(views[at]) << MOTION_BITS) | yaw_cells[turn] | cell
+                n += 1
+    return cells[:n]
 
 
 def count_votes(
@@ -115,11 +139,7 @@ def count_votes(
         (V,) leaves some views out.
     """
     cells = np.sort(cells)
-    # What stands alone agrees with nothing.
-    again = np.flatnonzero(cells[1:] == cells[:-1])
-    first = np.flatnonzero(np.diff(again, prepend=-2) != 1)
-    counts = (np.diff(first, append=len(again)) + 1).astype(np.float32)
-    cells = cells[again[first]]
+    cells, counts = _agreeing(cells)
     views = cells >> np.uint32(MOTION_BITS)
     counts *= np.float32(1.0) / np.sqrt(totals[views] + np.float32(5.0))
     if allowed is not None:
@@ -140,6 +160,20 @@ def count_votes(
     order = np.argsort(-most, kind="stable")[:n]
     order = order[most[order] > 0]
     return voted[first][order], most[order]
+
+
+@compiled
+def _agreeing(cells: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Return the cells with several votes, and how many; what stands alone agrees with nothing."""
+    found, counts = np.empty_like(cells), np.empty(len(cells), np.float32)
+    n = begin = 0
+    for end in range(1, len(cells) + 1):
+        if end == len(cells) or cells[end] != cells[begin]:
+            if end - begin > 1:
+                found[n], counts[n] = cells[begin], end - begin
+                n += 1
+            begin = end
+    return found[:n], counts[:n]
 
 
 def phases(bofs: PlacedBofs) -> NDArray[np.uint8]:

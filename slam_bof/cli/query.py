@@ -47,6 +47,7 @@ KEYFRAMES = (
     ("loops", "n_loops"),
     ("component", "component"),
 )
+SIGMAS = (("sigma m", "sigma_m"), ("sigma degrees", "sigma_degrees"))
 LOOPS = (
     ("query", "query_id"),
     ("match", "match_id"),
@@ -131,6 +132,14 @@ def keyframes(
         typer.Option(help="Labels smoothed over neighbours, or those of single images."),
     ] = "smoothed",
     component: COMPONENT = None,
+    uncertainty: Annotated[
+        bool,
+        typer.Option(
+            "--uncertainty",
+            help="Print the standard deviations of position and direction too, relative to the "
+            "first keyframe of the component.",
+        ),
+    ] = False,
     limit: LIMIT = None,
     format_: FORMAT = "table",
     as_json: JSON = False,
@@ -156,7 +165,29 @@ def keyframes(
         if scene is not None and form == "table":
             with_scene = _rooms(store, query_rooms(store, scene=scene))
             show_rows(with_scene, ROOMS, form, "Rooms (extent of the camera positions)")
-    show_rows([asdict(record) for record in records], KEYFRAMES, form)
+        rows = [asdict(record) for record in records]
+        if uncertainty:
+            rows = _with_sigmas(rows, store)
+    show_rows(rows, (*KEYFRAMES, *SIGMAS) if uncertainty else KEYFRAMES, form)
+
+
+def _with_sigmas(rows: list[dict[str, Any]], store: MapStore) -> list[dict[str, Any]]:
+    """Return rows of keyframes with the standard deviations of their poses, None if unknown."""
+    import numpy as np
+
+    from slam_bof.maps import pose_covariances
+
+    variances = np.diagonal(pose_covariances(store), axis1=1, axis2=2)
+    turned, moved = np.sqrt(variances.reshape(-1, 2, 3).sum(axis=2)).T
+    known = np.isfinite(moved)
+    return [
+        row
+        | {
+            "sigma_m": float(moved[row["id"]]) if known[row["id"]] else None,
+            "sigma_degrees": float(np.degrees(turned[row["id"]])) if known[row["id"]] else None,
+        }
+        for row in rows
+    ]
 
 
 @app.command()

@@ -78,5 +78,6 @@ from .trajectory_metrics import (
     align_trajectory as align_trajectory,
     associate as associate,
     ate as ate,
+    nees as nees,
     rpe as rpe,
 )

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.geometry import nearest_stamps, se3
-from slam_bof.types import Pose, Trajectory
+from slam_bof.types import Array, Pose, Trajectory
 
-__all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "rpe"]
+__all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "nees", "rpe"]
 
 MAX_DIFFERENCE_S = 0.01
 MIN_POSES = 3
@@ -125,3 +125,29 @@ def rpe(
     T_reference = se3.inverse(Q[:-n_frames]) @ Q[n_frames:]
     errors = se3.inverse(T_reference) @ T_estimate
     return float(np.sqrt(np.mean(np.sum(errors[:, :3, 3] ** 2, axis=1))))
+
+
+def nees(T_estimate: Array, T_truth: Array, covariances: Array) -> float | None:
+    """Return the mean normalised estimation error squared, divided by six: 1 is consistent.
+
+    Bar-Shalom, Li and Kirubarajan 2001, section 5.4.
+
+    Parameters
+    ----------
+    T_estimate, T_truth
+        (n, 4, 4) poses; those of which one is NaN do not count.
+    covariances
+        (n, 6, 6) of the tangents of the estimates, rotation first, in rad^2 and m^2.
+
+    Returns
+    -------
+    float or None
+        None without any pose that counts.
+    """
+    known = np.isfinite(T_estimate).all(axis=(1, 2)) & np.isfinite(T_truth).all(axis=(1, 2))
+    if not known.any():
+        return None
+    T_error = se3.inverse(T_estimate[known]) @ T_truth[known]
+    errors = np.array([se3.log(T) for T in T_error])[:, :, None]
+    squares = np.swapaxes(errors, 1, 2) @ np.linalg.solve(covariances[known], errors)
+    return float(squares.mean() / 6.0)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from slam_bof.core import compiled
 from slam_bof.errors import DatasetError
 from slam_bof.types import Array, DepthFrame, Intrinsics, Params
 
@@ -142,14 +143,36 @@ def points_camera_f32(frame: DepthFrame, params: PointParams) -> NDArray[np.floa
 
     The result is (N, 3) float32 with contiguous columns, which suits the computation of layers.
     """
-    depth_m = frame.depth_in_range_m(params.stride)
-    valid = (depth_m >= params.min_range_m) & (depth_m <= params.max_range_m) & (depth_m > 0)
     x_per_z, y_per_z = ray_slopes(frame.intrinsics, params.stride)
-    points = np.empty((3, np.count_nonzero(valid)), np.float32)
-    points[0] = (depth_m * x_per_z.astype(np.float32))[valid]
-    points[1] = (depth_m * y_per_z.astype(np.float32)[:, None])[valid]
-    points[2] = depth_m[valid]
-    return points.T
+    return _points_f32(
+        frame.depth_m(params.stride),
+        x_per_z.astype(np.float32),
+        y_per_z.astype(np.float32),
+        np.float32(max(params.min_range_m, frame.sensor.min_depth_m)),
+        np.float32(min(params.max_range_m, frame.sensor.max_depth_m)),
+    ).T
+
+
+@compiled
+def _points_f32(
+    depth_m: NDArray[np.float32],
+    x_per_z: NDArray[np.float32],
+    y_per_z: NDArray[np.float32],
+    min_range_m: np.float32,
+    max_range_m: np.float32,
+) -> NDArray[np.float32]:
+    """Return the points (3, N) of the pixels in range."""
+    points = np.empty((3, depth_m.size), np.float32)
+    n = 0
+    for row in range(depth_m.shape[0]):
+        for column in range(depth_m.shape[1]):
+            z = depth_m[row, column]
+            if z > 0 and min_range_m <= z <= max_range_m:
+                points[0, n] = z * x_per_z[column]
+                points[1, n] = z * y_per_z[row]
+                points[2, n] = z
+                n += 1
+    return points[:, :n]
 
 
 def project(

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.core import compiled
-from slam_bof.geometry.projection import NORMAL_STEPS, OUTSIDE, ViewArrays, project
+from slam_bof.geometry.projection import NORMAL_STEPS, ViewArrays, by_axis, nearest_pixel, project
 from slam_bof.geometry.view_stack import Floats, Indices
 from slam_bof.types import Array
 
@@ -88,12 +88,16 @@ def associate(
     """
     T = T_match_query
     indices = np.empty(len(points), np.intp)
+    axes = by_axis(points)
+    found = np.empty_like(axes)
+    project(views, T, axes, found)
     n = 0
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
-        pixel, _, _, depth_m = project(views, T, x, y, z)
-        if pixel == OUTSIDE:
+        depth_m = found[2, k]
+        if depth_m == 0.0:
             continue
+        pixel = nearest_pixel(views.width, found[0, k], found[1, k])
         normal_x = views.normals[match, pixel, 0] * PER_STEP
         normal_y = views.normals[match, pixel, 1] * PER_STEP
         normal_z = views.normals[match, pixel, 2] * PER_STEP

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +10,15 @@ from numpy.typing import NDArray
 from slam_bof.core import compiled
 from slam_bof.types import Array
 
-__all__ = ["NORMAL_STEPS", "OUTSIDE", "ViewArrays", "interpolated_depth", "project"]
+__all__ = [
+    "NORMAL_STEPS",
+    "ViewArrays",
+    "by_axis",
+    "interpolated_depth",
+    "nearest_pixel",
+    "project",
+]
 
-OUTSIDE = -1
-"""Pixel of points that fall outside the image."""
 NORMAL_STEPS = 127
 """Number of steps per unit in which normals are stored as bytes."""
 NEAR_M = 0.05
@@ -42,47 +47,65 @@ class ViewArrays(NamedTuple):
 
 
 @compiled
-def project(
-    views: ViewArrays, T: Array, x: float, y: float, z: float
-) -> tuple[int, float, float, float]:
-    """Return the pixel on which a point falls by ``T_view_point`` (4, 4), ``OUTSIDE`` if on none.
-
-    Also the offset from that pixel in columns and rows, -0.5 to 0.5, and the depth of the point.
-    """
-    depth_m = T[2, 0] * x + T[2, 1] * y + T[2, 2] * z + T[2, 3]
-    if not depth_m > NEAR_M:
-        return OUTSIDE, 0.0, 0.0, depth_m
-    inverse = 1.0 / depth_m
-    u = views.fx * inverse * (T[0, 0] * x + T[0, 1] * y + T[0, 2] * z + T[0, 3]) + views.cx
-    v = views.fy * inverse * (T[1, 0] * x + T[1, 1] * y + T[1, 2] * z + T[1, 3]) + views.cy
-    column, row = np.rint(u), np.rint(v)
-    if not (0 <= column < views.width and 0 <= row < views.height):
-        return OUTSIDE, 0.0, 0.0, depth_m
-    return int(row) * views.width + int(column), u - column, v - row, depth_m
+def by_axis(points: NDArray[np.floating[Any]]) -> Array:
+    """Return points (m, 3) as ``project`` takes them, (3, m) float64."""
+    axes = np.empty((3, len(points)))
+    for i in range(len(points)):
+        axes[0, i], axes[1, i], axes[2, i] = points[i, 0], points[i, 1], points[i, 2]
+    return axes
 
 
 @compiled
-def interpolated_depth(
-    views: ViewArrays, view: int, pixel: int, column_offset: float, row_offset: float
-) -> float:
-    """Return the depth of a view beside a pixel, 0 if it is unknown or on no surface.
+def project(views: ViewArrays, T: Array, points: Array, found: Array) -> None:
+    """Find where points (3, m) fall by ``T_view_point`` (4, 4).
+
+    ``found`` (3, m) is filled: column and row, and the depth of the point, 0 if it falls outside
+    the image. One loop without branches over all points becomes vector instructions.
+    """
+    xs, ys, zs = points[0], points[1], points[2]
+    columns, rows, depths_m = found[0], found[1], found[2]
+    last_column, last_row = views.width - 1.0, views.height - 1.0
+    fx, fy, cx, cy = views.fx, views.fy, views.cx, views.cy
+    a, b, c, d = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
+    e, f, g, h = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
+    p, q, r, s = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
+    for i in range(len(xs)):
+        x, y, z = xs[i], ys[i], zs[i]
+        depth_m = p * x + q * y + r * z + s
+        inverse = 1.0 / depth_m
+        u = fx * inverse * (a * x + b * y + c * z + d) + cx
+        v = fy * inverse * (e * x + f * y + g * z + h) + cy
+        column, row = np.rint(u), np.rint(v)
+        is_inside = (column >= 0) & (column <= last_column) & (row >= 0) & (row <= last_row)
+        columns[i], rows[i] = u, v
+        depths_m[i] = depth_m if is_inside & (depth_m > NEAR_M) else 0.0
+
+
+@compiled
+def nearest_pixel(width: int, column: float, row: float) -> int:
+    """Return the number of the pixel that a point inside of the image falls on."""
+    return int(np.rint(row)) * width + int(np.rint(column))
+
+
+@compiled
+def interpolated_depth(views: ViewArrays, view: int, column: float, row: float) -> float:
+    """Return the depth of a view between pixels, 0 if it is unknown or on no surface.
 
     The inverse depth of a plane is linear in the image. Without interpolation, the depth of a wall
     at a grazing angle may be off by decimetres, and views would seem to agree best where their
     pixels coincide. At an edge the surface of the pixel is continued.
     """
     depths_m = views.depths_m[view]
+    pixel = nearest_pixel(views.width, column, row)
     depth_m = depths_m[pixel]
     if not depth_m > 0.0:
         return 0.0
-    row, column = divmod(pixel, views.width)
     inverse = 1.0 / depth_m
     limit = MAX_STEP * (inverse + inverse * inverse)
     change = 0.0
-    for offset, step, position, size in (
-        (column_offset, 1, column, views.width),
-        (row_offset, views.width, row, views.height),
-    ):
+    for at, step, size in ((column, 1, views.width), (row, views.width, views.height)):
+        position = int(np.rint(at))
+        offset = at - position
         towards = 1 if offset > 0 else -1
         ahead = _inverse_depth(depths_m, pixel + towards * step, position + towards, size) - inverse
         behind = inverse - _inverse_depth(

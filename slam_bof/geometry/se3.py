@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from slam_bof.types import Array, Pose
 
 __all__ = [
+    "adjoint",
     "align",
     "check_rigid",
     "checked_pose",
@@ -175,6 +176,18 @@ def _cross_matrix(tangent: Array) -> tuple[Array, Array]:
 def transform(T_a_b: Pose, points_b: Array) -> Array:
     """Transform points (N, 3) to frame a: ``p_a = T_a_b @ p_b``."""
     return points_b @ T_a_b[:3, :3].T + T_a_b[:3, 3]
+
+
+def adjoint(T_a_b: Array) -> Array:
+    """Return the matrix (..., 6, 6) that makes a small motion of frame b one of frame a.
+
+    Tangents have the rotation first; ``T_a_b`` is (..., 4, 4).
+    """
+    R, t = T_a_b[..., :3, :3], T_a_b[..., :3, 3]
+    made = np.zeros((*T_a_b.shape[:-2], 6, 6))
+    made[..., :3, :3] = made[..., 3:, 3:] = R
+    made[..., 3:, :3] = np.cross(t[..., None], R, axis=-2)
+    return made
 
 
 def rotation_angle(T: Pose) -> Array:

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from slam_bof.core import compiled
 from slam_bof.geometry import se3
-from slam_bof.geometry.projection import OUTSIDE, ViewArrays, interpolated_depth, project
+from slam_bof.geometry.projection import (
+    ViewArrays,
+    by_axis,
+    interpolated_depth,
+    nearest_pixel,
+    project,
+)
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.types import Array
 
@@ -105,13 +111,18 @@ def _classify(
     inlier = np.zeros(shape, np.bool_)
     violating = np.zeros(shape, np.bool_)
     visible = np.zeros(shape, np.bool_)
+    found = np.empty((3, points.shape[1]))
     for k in range(len(rows)):
-        own = points[min(k, len(points) - 1)]
-        for i in range(len(own)):
-            pixel, _, _, depth_m = project(views, T[k], own[i, 0], own[i, 1], own[i, 2])
-            if pixel == OUTSIDE or not views.depths_m[rows[k], pixel] > 0.0:
+        project(views, T[k], by_axis(points[min(k, len(points) - 1)]), found)
+        depths_m = views.depths_m[rows[k]]
+        for i in range(found.shape[1]):
+            depth_m = found[2, i]
+            if depth_m == 0.0:
                 continue
-            off_m = depth_m - views.depths_m[rows[k], pixel]
+            there_m = depths_m[nearest_pixel(views.width, found[0, i], found[1, i])]
+            if not there_m > 0.0:
+                continue
+            off_m = depth_m - there_m
             allowed_m = fixed_m + share * depth_m
             inlier[k, i] = abs(off_m) < allowed_m
             violating[k, i] = off_m < -allowed_m
@@ -167,15 +178,14 @@ def _worth(
     """
     worth = np.zeros(len(rows))
     n_visible = np.zeros(len(rows), np.intp)
+    found = np.empty((3, points.shape[1]))
     for k in range(len(rows)):
-        own = points[min(k, len(points) - 1)]
-        for i in range(len(own)):
-            pixel, column_offset, row_offset, depth_m = project(
-                views, T[k], own[i, 0], own[i, 1], own[i, 2]
-            )
-            if pixel == OUTSIDE:
+        project(views, T[k], by_axis(points[min(k, len(points) - 1)]), found)
+        for i in range(found.shape[1]):
+            depth_m = found[2, i]
+            if depth_m == 0.0:
                 continue
-            there_m = interpolated_depth(views, rows[k], pixel, column_offset, row_offset)
+            there_m = interpolated_depth(views, rows[k], found[0, i], found[1, i])
             if not there_m > 0.0:
                 continue
             n_visible[k] += 1
@@ -197,13 +207,18 @@ def score_poses(views: ViewArrays, row: int, points: Floats, T: Array, tolerance
     count, up to 1; violations of free space cost 0.5.
     """
     scores = np.zeros(len(T))
+    axes = by_axis(points)
+    found = np.empty_like(axes)
+    depths_m = views.depths_m[row]
     for k in range(len(T)):
+        project(views, T[k], axes, found)
         for i in range(len(points)):
-            pixel, _, _, depth_m = project(views, T[k], points[i, 0], points[i, 1], points[i, 2])
-            if pixel == OUTSIDE or not views.depths_m[row, pixel] > 0.0:
+            if found[2, i] == 0.0:
                 continue
-            there_m = views.depths_m[row, pixel]
-            off = (depth_m - there_m) / (tolerance[0] + tolerance[1] * there_m)
+            there_m = depths_m[nearest_pixel(views.width, found[0, i], found[1, i])]
+            if not there_m > 0.0:
+                continue
+            off = (found[2, i] - there_m) / (tolerance[0] + tolerance[1] * there_m)
             scores[k] += max(1.0 - abs(off), 0.0) if off >= -1.0 else -0.5
     return scores / len(points)
 

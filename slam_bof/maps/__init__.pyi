@@ -31,3 +31,6 @@ from .occupancy_grid import (
 from .point_cloud import (
     write_sequence_cloud as write_sequence_cloud,
 )
+from .pose_uncertainty import (
+    pose_covariances as pose_covariances,
+)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from slam_bof.core import read_text
 from slam_bof.errors import RunError
-from slam_bof.types import Step
+from slam_bof.types import Array, Pose, Step, Trajectory
 from slam_bof.visualization import FrameHealth
 
 __all__ = ["HealthLog", "read_health", "write_health"]
@@ -33,6 +33,7 @@ class HealthLog:
 
     def __init__(self) -> None:
         self.frames: list[FrameHealth] = []
+        self._poses: list[Pose | None] = []
         self._known: list[FrameHealth] = []
         self._file: TextIO | None = None
 
@@ -49,12 +50,27 @@ class HealthLog:
     def add(self, step: Step) -> None:
         """Add the next frame."""
         n = len(self.frames)
+        self._poses.append(step.T_map_camera)
         if n < len(self._known):
             self.frames.append(self._known[n])
             return
-        self.frames.append(FrameHealth(step.health, step.open_axes.shape[1]))
+        self.frames.append(_health_of(step))
         if self._file is not None:
             csv.writer(self._file).writerow(self.frames[-1])
+
+    def trajectory(self, stamps_s: Array) -> Trajectory | None:
+        """Return the pose of each frame as it was known at the time; None if some are unknown."""
+        poses = [T for T in self._poses if T is not None]
+        if len(poses) < len(stamps_s) or not poses:
+            return None
+        return Trajectory(stamps_s, np.array(poses))
+
+
+def _health_of(step: Step) -> FrameHealth:
+    if step.covariance is None:
+        return FrameHealth(step.health, step.open_axes.shape[1])
+    variances = np.diag(step.covariance).reshape(2, 3).sum(axis=1)
+    return FrameHealth(step.health, step.open_axes.shape[1], *np.sqrt(variances).tolist())
 
 
 def write_health(
@@ -64,7 +80,7 @@ def write_health(
     keyframe_frames: Sequence[int],
     components: NDArray[np.intp],
 ) -> None:
-    """Write one row for each frame: time, tracking, open directions, component of the map.
+    """Write one row for each frame: time, tracking, uncertainty, component of the map.
 
     The component, that of the newest keyframe so far, is empty where tracking was lost.
     ``keyframe_frames`` are the frames of the keyframes, whose ``components`` are given.
@@ -83,7 +99,15 @@ def read_health(path: Path) -> list[FrameHealth]:
     try:
         text = read_text(path) if path.is_file() else ""
         rows = csv.DictReader(text.splitlines())
-        return [FrameHealth(row["health"], int(row["n_open"])) for row in rows]
+        return [
+            FrameHealth(
+                row["health"],
+                int(row["n_open"]),
+                float(row.get("sigma_m", "nan")),
+                float(row.get("sigma_rad", "nan")),
+            )
+            for row in rows
+        ]
     except (OSError, KeyError, TypeError, ValueError, csv.Error) as error:
         raise RunError(
             f"{path}: found {str(error)[:80]!r}, expected columns health, n_open"

@@ -10,6 +10,7 @@ import numpy as np
 
 from slam_bof import evaluation
 from slam_bof.core import StageClock, Usage, peak_rss_mb
+from slam_bof.geometry import se3
 from slam_bof.run.record import RunRecord
 from slam_bof.slam import LoopCloser, SlamResult
 from slam_bof.types import Candidate, CandidateSource, EdgeKind, Scene, Trajectory
@@ -21,6 +22,7 @@ __all__ = [
     "count_metrics",
     "scene_metrics",
     "trajectory_metrics",
+    "uncertainty_metrics",
 ]
 
 Metrics = dict[str, str | int | float | None]
@@ -35,7 +37,8 @@ def compute_metrics(record: RunRecord) -> Metrics:
         "dataset": record.dataset.name,
         "sequence": record.dataset.sequence,
         **count_metrics(result, record.closer, record.candidates),
-        **trajectory_metrics(result, record.groundtruth),
+        **trajectory_metrics(result, record.live, record.groundtruth),
+        **uncertainty_metrics(result, record.closer, record.groundtruth),
         **scene_metrics(result, record.smoothed, record.true_scenes),
         "n_regions": record.n_rooms,
         **cost_metrics(result, record.usage, record.clock),
@@ -74,26 +77,32 @@ def count_metrics(
     }
 
 
-def trajectory_metrics(result: SlamResult, groundtruth: Trajectory | None) -> Metrics:
+def trajectory_metrics(
+    result: SlamResult, live: Trajectory | None, groundtruth: Trajectory | None
+) -> Metrics:
     """Return the errors of trajectories and loops by ground truth, None where it is unknown.
 
+    ``live`` has the poses of frames as they were known at the time, None if not all are known.
     ``groundtruth`` has a pose for each frame of the sequence.
     """
     if groundtruth is None:
         return dict.fromkeys(
             (
-                *("ate_odometry_m", "ate_m", "ate_max_m", "rpe_odometry_m", "rpe_m"),
+                *("ate_odometry_m", "ate_live_m", "ate_m", "ate_max_m"),
+                *("rpe_odometry_m", "rpe_m"),
                 *("loop_precision", "loop_recall", "covisibility_precision"),
             )
         )
     reference = Trajectory(groundtruth.stamps_s[result.indices], groundtruth.poses[result.indices])
     ate_odometry = evaluation.ate(result.odometry, reference)
     ate = evaluation.ate(result.optimized, reference)
+    ate_live = evaluation.ate(live, reference) if live is not None else None
     keyframe_indices = [k.frame_index for k in result.keyframes]
     loops = [loop for loop in result.loops if loop.kind == EdgeKind.LOOP]
     edges = [loop for loop in result.loops if loop.kind == EdgeKind.COVISIBILITY]
     return {
         "ate_odometry_m": ate_odometry.rmse_m if ate_odometry else None,
+        "ate_live_m": ate_live.rmse_m if ate_live else None,
         "ate_m": ate.rmse_m if ate else None,
         "ate_max_m": ate.max_m if ate else None,
         "rpe_odometry_m": evaluation.rpe(result.odometry, reference),
@@ -102,6 +111,33 @@ def trajectory_metrics(result: SlamResult, groundtruth: Trajectory | None) -> Me
         "loop_recall": evaluation.loop_recall(loops, keyframe_indices, reference),
         "covisibility_precision": evaluation.loop_precision(edges, keyframe_indices, reference),
     }
+
+
+def uncertainty_metrics(
+    result: SlamResult, closer: LoopCloser, groundtruth: Trajectory | None
+) -> Metrics:
+    """Return how well the covariances of keyframes and edges describe their errors.
+
+    Keyframes are those in one component with the first; a session that was added to a map has
+    none, because that lies in an earlier one.
+    """
+    names = ("keyframe_nees", "edge_nees")
+    if groundtruth is None or closer.map.session or len(result.keyframes) < 2:
+        return dict.fromkeys(names)
+    truth = groundtruth.poses[result.indices[[k.frame_index for k in result.keyframes]]]
+    joined = np.flatnonzero(closer.map.components == closer.map.components[0])
+    others, poses = joined[1:], result.T_map_camera
+    loops = [loop for loop in result.loops if loop.information.any()]  # not of culled keyframes
+    T_match_query = np.array([loop.T_match_query for loop in loops]).reshape(-1, 4, 4)
+    matches, queries = [loop.match_id for loop in loops], [loop.query_id for loop in loops]
+    true_edges = se3.inverse(truth[matches]) @ truth[queries]
+    keyframe_nees = evaluation.nees(
+        se3.inverse(poses[0]) @ poses[others],
+        se3.inverse(truth[0]) @ truth[others],
+        closer.map.covariances()[others],
+    )
+    edge_nees = evaluation.nees(T_match_query, true_edges, closer.map.edge_covariances(loops))
+    return dict(zip(names, (keyframe_nees, edge_nees), strict=True))
 
 
 def scene_metrics(

@@ -36,6 +36,8 @@ class RunRecord:
         Whether ``map.ply`` may have the colour of the data set.
     z_up
         Whether ``map.ply`` is in a frame with z up instead of that of the map.
+    live
+        The pose of each frame in the map as it was known at the time; None for a resumed run.
     health
         How each frame of ``result`` was tracked.
     usage, clock
@@ -53,6 +55,7 @@ class RunRecord:
     true_scenes: Sequence[str] | None
     with_color: bool
     z_up: bool
+    live: Trajectory | None
     health: Sequence[FrameHealth]
     usage: Usage
     clock: StageClock

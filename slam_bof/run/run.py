@@ -317,6 +317,7 @@ def _finish(
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
         with_color=job.with_color,
         z_up=job.z_up,
+        live=job.observer.health.trajectory(result.optimized.stamps_s),
         health=job.observer.health.frames,
         usage=used,
         clock=job.clock,

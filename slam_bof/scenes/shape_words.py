@@ -19,8 +19,7 @@ from slam_bof.bof import (
     ContourParams,
     LayerParams,
     describe,
-    find_contours,
-    layer_images,
+    layer_contours,
 )
 from slam_bof.scenes.levelled_cloud import LevelledCloud
 from slam_bof.types import Contours
@@ -65,22 +64,16 @@ def shape_descriptors(cloud: LevelledCloud) -> NDArray[np.float32]:
     metres; and a value that differs between height and distance slices.
     """
     plan_origin = np.array([0.0, cloud.camera_height_m, PLAN_CENTER_M], np.float32)
-    plans = _contours(cloud.points - plan_origin, HEIGHT_SLICES)
+    plans = layer_contours(cloud.points - plan_origin, HEIGHT_SLICES, CONTOURS)
     bottoms_m = TOP_M - SLICE_M * (plans.layer + 1.0)
     above = _describe(plans, PLAN_PIXEL_M, bottoms_m, bottoms_m + SLICE_M, 0.0)
-    fronts = _contours(cloud.points, DISTANCE_SLICES)
+    fronts = layer_contours(cloud.points, DISTANCE_SLICES, CONTOURS)
     middle_px = DISTANCE_SLICES.resolution_px // 2
     rows = [(p[:, 1].min(), p[:, 1].max()) for p in fronts.points_px]
     y = (np.array(rows, np.float64).reshape(-1, 2) - middle_px) * FRONT_PIXEL_M
     tops_m, bottoms_m = cloud.camera_height_m - y[:, 0], cloud.camera_height_m - y[:, 1]
     ahead = _describe(fronts, FRONT_PIXEL_M, bottoms_m, tops_m, DISTANCE_SLICE_OFFSET)
     return np.concatenate([above, ahead])
-
-
-def _contours(points: NDArray[np.float32], layers: LayerParams) -> Contours:
-    margin_px = CONTOURS.margin_px
-    images = layer_images(points, layers, margin_px=margin_px)
-    return find_contours(images, CONTOURS, margin_px=margin_px)
 
 
 def _describe(

@@ -23,6 +23,9 @@ from .loop_closer import (
 from .map_outline import (
     MapOutline as MapOutline,
 )
+from .map_uncertainty import (
+    MapUncertainty as MapUncertainty,
+)
 from .mini_slam import (
     MiniSlam as MiniSlam,
     SlamResult as SlamResult,

@@ -23,6 +23,7 @@ from operator import attrgetter
 from types import MethodType
 from typing import IO, Any, NamedTuple, cast
 
+from slam_bof.bof import compile_bof
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
 from slam_bof.errors import SlamBofError
 from slam_bof.geometry import compile_alignment
@@ -244,6 +245,7 @@ def serve() -> None:
     try:
         map_ = KeyframeMap(pickle.load(requests), StageClock())
         compile_alignment()
+        compile_bof()
     except Exception as error:
         map_ = _Failure(error)
     with one_blas_thread():

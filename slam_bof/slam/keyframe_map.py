@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,6 +30,7 @@ from slam_bof.scenes import SceneFilter, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_culling import KeyframeCulling
 from slam_bof.slam.map_outline import MapOutline, outline_of
+from slam_bof.slam.map_uncertainty import PoseUncertainty
 from slam_bof.slam.memory_limit import MemoryLimit
 from slam_bof.slam.pose_graph import MapGraph
 from slam_bof.types import (
@@ -139,6 +140,20 @@ class KeyframeMap:
     def poses(self) -> Array:
         """Return the pose ``T_map_camera`` (K, 4, 4) of every keyframe."""
         return self.graph.poses()
+
+    def covariances(self) -> Array:
+        """Return the covariance (K, 6, 6) of every keyframe; see ``MapUncertainty.covariances``."""
+        return self.graph.covariances()
+
+    def edge_covariances(self, loops: Sequence[Loop]) -> Array:
+        """Return the covariance (L, 6, 6) of edges; see ``MapUncertainty.of_edges``."""
+        return self.graph.uncertainty.of_edges(loops)
+
+    def uncertainty(self) -> PoseUncertainty:
+        """Return how uncertain the pose of the newest keyframe is."""
+        return self.graph.uncertainty.newest(
+            self.graph.components.in_use(), self.graph.T_map_camera
+        )
 
     def outline(self) -> MapOutline:
         """Return what a picture of the map needs; of a map in the background, in one answer."""

@@ -8,8 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
 from numpy.typing import ArrayLike
 
+from slam_bof.bof import compile_bof
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
 from slam_bof.geometry import (
     CloudCamera,
@@ -64,6 +66,8 @@ class LoopCloser:
         background: bool = False,
     ) -> None:
         compile_alignment()
+        if not background:
+            compile_bof()
         self.history = FrameHistory()
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""
@@ -230,7 +234,16 @@ class LoopCloser:
             is_lost=track.is_lost,
             open_axes=track.open_axes,
             T_map_camera=T_map_camera,
+            covariance=self._covariance(track),
         )
+
+    def _covariance(self, track: Track) -> Array | None:
+        """Return the covariance of a frame in the map; None before there is a map."""
+        known = self._updates.uncertainty
+        if known is None:
+            return None
+        is_tracked = not track.is_lost and track.segment == known.keyframe.segment
+        return known.of_frame(track.T_odom_camera, track.open_axes if is_tracked else np.eye(6))
 
     @one_blas_thread()
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
@@ -311,6 +324,7 @@ class LoopCloser:
                 self._updates.newest = record.keyframe
             if record is not None:
                 self._updates.T_map_track = self._map.T_map_track
+                self._updates.uncertainty = self._map.uncertainty()
                 self._segment = record.keyframe.segment
             if record is None or not record.state:
                 return  # a pruned map cannot be resumed, only continued by another session

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from slam_bof.core import GrowingArray
 from slam_bof.types import Array, CandidateSource, EdgeKind, Loop
 
-__all__ = ["LoopLog"]
+__all__ = ["EdgeColumns", "LoopLog", "edge_shapes"]
 
 ROW = np.dtype(
     [
@@ -19,9 +20,32 @@ ROW = np.dtype(
         ("T_match_query", np.float64, (3, 4)),
         ("kind", np.int8),
         ("source", np.int8),
+        ("spread", np.float64, (2,)),
     ]
 )
 KINDS, SOURCES = list(EdgeKind), list(CandidateSource)
+TINY_INFORMATION = 1e-9
+"""Share of an edge's information that it has in every direction, so that it can be inverted."""
+
+
+def edge_shapes(information: Array) -> Array:
+    """Return covariances (..., 6, 6) up to a factor: the mean information of each becomes 1."""
+    mean = np.maximum(np.trace(information, axis1=-2, axis2=-1) / 6.0, np.finfo(float).tiny)
+    return np.linalg.inv(information / mean[..., None, None] + TINY_INFORMATION * np.eye(6))
+
+
+class EdgeColumns(NamedTuple):
+    """Edges (E,) by column: their numbers, the keyframes that they connect, and their lengths.
+
+    ``spreads`` (E, 2) are the sums of the variances of rotation and of translation, by
+    ``edge_shapes``.
+    """
+
+    numbers: NDArray[np.intp]
+    match_ids: NDArray[np.int32]
+    query_ids: NDArray[np.int32]
+    lengths_m: Array
+    spreads: Array
 
 
 class LoopLog:
@@ -62,7 +86,8 @@ class LoopLog:
         """Add an edge."""
         number = len(self)
         kind, source = KINDS.index(EdgeKind(loop.kind)), SOURCES.index(CandidateSource(loop.source))
-        row = (loop.query_id, loop.match_id, loop.T_match_query[:3], kind, source)
+        spread = edge_shapes(loop.information).diagonal().reshape(2, 3).sum(axis=1)
+        row = (loop.query_id, loop.match_id, loop.T_match_query[:3], kind, source, spread)
         self._rows.append(np.array(row, ROW))
         self._information[number] = loop.information
         for keyframe_id in (loop.query_id, loop.match_id):
@@ -72,11 +97,12 @@ class LoopLog:
         """Return the edges between a keyframe and others that are all in use."""
         return [self[number] for number in self._of_keyframe.get(keyframe_id, ())]
 
-    def edges(self) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
-        """Return match and query (E,), (E,) of the edges in use, and their lengths in m."""
-        rows = self._rows.rows[np.fromiter(self._information, np.intp, len(self._information))]
+    def edges(self) -> EdgeColumns:
+        """Return the edges in use."""
+        numbers = np.fromiter(self._information, np.intp, len(self._information))
+        rows = self._rows.rows[numbers]
         lengths_m = np.linalg.norm(rows["T_match_query"][:, :, 3], axis=1)
-        return rows["match_id"], rows["query_id"], lengths_m
+        return EdgeColumns(numbers, rows["match_id"], rows["query_id"], lengths_m, rows["spread"])
 
     def cull(self, keyframe_ids: Collection[int]) -> None:
         """Drop what the edges of culled keyframes no longer need."""

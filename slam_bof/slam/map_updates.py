@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from slam_bof.slam.map_uncertainty import PoseUncertainty
 from slam_bof.slam.mapping import MapUpdate
 from slam_bof.types import FramePose, Keyframe, KeyframeRecord, Pose
 
@@ -26,11 +27,14 @@ class MapUpdates:
         The newest keyframe in the map, None before the first.
     T_map_track
         (4, 4) correction of the track by the map; see ``MapUpdate``.
+    uncertainty
+        That of the newest keyframe, None before the first.
     """
 
     def __init__(self) -> None:
         self.newest: Keyframe | None = None
         self.T_map_track: Pose = np.eye(4)
+        self.uncertainty: PoseUncertainty | None = None
         self._new: list[MapUpdate] = []
         self._unsaved: list[KeyframeRecord] = []
 
@@ -57,6 +61,7 @@ class MapUpdates:
             )
             self._unsaved.append(record)
         self.newest, self.T_map_track = keyframe, update.T_map_track
+        self.uncertainty = update.uncertainty
         self._new.append(update)
 
     def take(self) -> list[MapUpdate]:

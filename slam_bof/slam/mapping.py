@@ -12,6 +12,7 @@ from slam_bof.geometry import subsample
 from slam_bof.loops import Verified
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_map import KeyframeMap
+from slam_bof.slam.map_uncertainty import PoseUncertainty
 from slam_bof.tracking import Track
 from slam_bof.types import DepthFrame, Keyframe, Pose, SavedConstellation, SubsampledDepth
 
@@ -39,7 +40,8 @@ class MapUpdate:
     """A keyframe that has come into the map, and the keyframes that were culled with it.
 
     ``T_map_track`` is the correction of its track by the map, and ``trusts_odometry`` says whether
-    the map has found odometry to be about as precise as alignment. ``depth``, ``constellation`` and
+    the map has found odometry to be about as precise as alignment. ``uncertainty`` is that of the
+    keyframe's pose. ``depth``, ``constellation`` and
     ``state``, of tracking and of the map, are for the journal.
     """
 
@@ -48,6 +50,7 @@ class MapUpdate:
     culled: tuple[tuple[int, int], ...]
     T_map_track: Pose
     trusts_odometry: bool
+    uncertainty: PoseUncertainty
     depth: SubsampledDepth | None
     constellation: SavedConstellation | None
     state: dict[str, Any]
@@ -71,6 +74,7 @@ def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
         culled,
         map_.T_map_track,
         map_.trusts_odometry,
+        map_.uncertainty(),
         subsample(job.frame) if job.is_saved else None,
         map_.newest_constellation if job.is_saved else None,
         {**job.state, "detector": map_.state()} if job.is_saved else {},

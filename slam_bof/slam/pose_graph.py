@@ -6,16 +6,15 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from slam_bof.core import Checkpoint, GrowingArray
 from slam_bof.geometry import se3
 from slam_bof.ports import Backend, ContractingBackend
 from slam_bof.slam.components import MapComponents
+from slam_bof.slam.graph_paths import Links
 from slam_bof.slam.loop_log import LoopLog
-from slam_bof.slam.odometry_noise import OdometryNoise
-from slam_bof.types import Array, EdgeKind, Keyframe, Loop
+from slam_bof.slam.map_uncertainty import MapUncertainty
+from slam_bof.types import Array, Keyframe, Loop
 
 __all__ = ["MapGraph"]
 
@@ -23,8 +22,6 @@ MAX_RELATIVE_SIGMA = 0.7
 """Odometry replaces tracking if its standard deviation is at most this share of that of an edge."""
 MAX_STEP_SIGMA = 2.0
 """Odometry is trusted against single views if its steps have at most this multiple of it."""
-MIN_EDGE_M = 1e-6
-"""Length of an edge between two keyframes at the same place."""
 
 
 class MapGraph:
@@ -42,6 +39,8 @@ class MapGraph:
         The component of each keyframe.
     log
         All edges that ever entered the graph.
+    uncertainty
+        The noise of edges and of odometry, and the covariance of keyframes.
     in_use
         Ids (n,) of the keyframes that were not culled, in order.
     """
@@ -50,6 +49,7 @@ class MapGraph:
         self.backend = backend
         self.components = MapComponents()
         self.log = LoopLog()
+        self.uncertainty = MapUncertainty(self.log)
         self.in_use: NDArray[np.int64] = np.empty(0, np.int64)
         self._left_out: set[int] = set()
         self._T_map_camera = GrowingArray((4, 4), np.float64)
@@ -57,7 +57,6 @@ class MapGraph:
         self._T_anchor_keyframe = GrowingArray((4, 4), np.float64)
         self._travelled_m = GrowingArray((), np.float64)
         self._keyframes: dict[int, Keyframe] = {}
-        self._noise: dict[int, OdometryNoise] = {}
 
     @property
     def loops(self) -> list[Loop]:
@@ -79,8 +78,7 @@ class MapGraph:
         self.backend.add_keyframe(keyframe)
         self.components.add(keyframe.segment)
         self._keyframes[keyframe.id] = keyframe
-        if keyframe.T_odom_raw is not None and keyframe.step_covariance is None:
-            self._noise_of(keyframe).add_keyframe(keyframe.id, keyframe.T_odom_raw)
+        self.uncertainty.add_keyframe(keyframe)
         self.in_use = np.append(self.in_use, keyframe.id)
         self._T_map_camera.append(np.eye(4))
         self._anchors.append(keyframe.id)
@@ -94,7 +92,7 @@ class MapGraph:
             self._join(loop)
             self.backend.add_loop(loop)
             self.log.append(loop)
-            self._learn(loop)
+            self.uncertainty.learn(len(self.log) - 1)
         self.backend.update()
         self._refresh()
 
@@ -112,7 +110,8 @@ class MapGraph:
         self.components.cull(culled)
         self.log.cull(culled)
         for keyframe_id in culled:
-            self._noise_of(self._keyframes.pop(keyframe_id)).forget(keyframe_id)
+            self._keyframes.pop(keyframe_id)
+            self.uncertainty.forget(keyframe_id)
         self.in_use = self.in_use[~np.isin(self.in_use, culled)]
         self._refresh()
 
@@ -144,16 +143,23 @@ class MapGraph:
         A step over which odometry was lost has no length. Culled keyframes are infinitely far.
         """
         travelled_m, ids = self._travelled_m.rows, self.in_use
-        match_ids, query_ids, lengths_m = self.log.edges()
-        starts: NDArray[np.int64] = np.append(ids[:-1], match_ids)
-        stops: NDArray[np.int64] = np.append(ids[1:], query_ids)
-        lengths_m = np.append(np.diff(travelled_m[ids]), lengths_m)
-        n, order = len(travelled_m), np.argsort(lengths_m, kind="stable")
-        # Of several edges between two keyframes the shortest; of length 0 it would be no edge.
-        _, first = np.unique((n * starts + stops)[order], return_index=True)
-        chosen = order[first]
-        edges = (np.maximum(lengths_m[chosen], MIN_EDGE_M), (starts[chosen], stops[chosen]))
-        return np.asarray(dijkstra(csr_array(edges, (n, n)), directed=False, indices=n - 1))
+        edges = self.log.edges()
+        starts: NDArray[np.int64] = np.append(ids[:-1], edges.match_ids)
+        stops: NDArray[np.int64] = np.append(ids[1:], edges.query_ids)
+        lengths_m = np.append(np.diff(travelled_m[ids]), edges.lengths_m)
+        n = len(travelled_m)
+        return Links(starts, stops, lengths_m, n).paths_from(n - 1)[0]
+
+    def covariances(self) -> Array:
+        """Return the covariance (K, 6, 6) of each keyframe; see ``MapUncertainty.covariances``.
+
+        That of a culled keyframe is that of its anchor, to which its pose is fixed.
+        """
+        made = self.uncertainty.covariances(self.components.in_use(), self._T_map_camera.rows)
+        culled = np.flatnonzero(self.components.in_use() < 0)
+        carried = se3.adjoint(se3.inverse(self._T_anchor_keyframe.rows[culled]))
+        made[culled] = carried @ made[self._anchors.rows[culled]] @ np.swapaxes(carried, -1, -2)
+        return made
 
     @property
     def anchors(self) -> NDArray[np.int64]:
@@ -165,7 +171,7 @@ class MapGraph:
 
         Slow drift does not count: odometry is still better than a view that disagrees.
         """
-        noise = self._noise.get(session)
+        noise = self.uncertainty.odometry(session)
         sigmas = None if noise is None else noise.step_sigmas()
         return sigmas is not None and bool(sigmas.max() <= MAX_STEP_SIGMA)
 
@@ -195,18 +201,9 @@ class MapGraph:
         step_m = np.diff(self._T_map_camera.rows[-2:, :3, 3], axis=0)
         return before_m + float(np.linalg.norm(step_m))
 
-    def _learn(self, loop: Loop) -> None:
-        """Learn how precise odometry is from an edge of one uninterrupted track."""
-        match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
-        if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
-            self._noise_of(query).add_edge(loop.match_id, loop.query_id, loop.T_match_query)
-
-    def _noise_of(self, keyframe: Keyframe) -> OdometryNoise:
-        return self._noise.setdefault(keyframe.session, OdometryNoise())
-
     def _choose_odometry(self) -> None:
         """Let the steps of each session be those of odometry if it is precise, or of tracking."""
-        for noise in self._noise.values():
+        for noise in self.uncertainty.sessions.values():
             keyframes = [self._keyframes[k] for k in self.in_use]
             keyframes = [k for k in keyframes if k.id in noise.T_odom_camera]
             sigmas = noise.relative_sigmas()

@@ -94,6 +94,9 @@ class Step:
     ``open_axes`` (6, k) are the directions in which the surfaces in sight hold nothing, as tangents
     of the camera's pose, rotation first; the pose along them is that of odometry. ``T_map_camera``
     is the pose of the frame in the map; None for a frame that was restored from an interrupted run.
+    ``covariance`` (6, 6) is that of ``T_map_camera`` relative to the first keyframe of its part of
+    the map, in m^2 and rad^2, in the order of ``nav_msgs/Odometry``: x, y, z, then rotations about
+    them, along the axes of the camera. Along ``open_axes``, and all over while lost, it is huge.
     """
 
     keyframe: Keyframe | None
@@ -104,6 +107,7 @@ class Step:
     is_lost: bool = False
     open_axes: Array = field(default_factory=lambda: np.empty((6, 0)))
     T_map_camera: Pose | None = None
+    covariance: Array | None = None
     is_keyframe: bool = False
 
     @property

@@ -14,10 +14,13 @@ Metrics = Mapping[str, str | int | float | None]
 TABLES: dict[str, dict[str, tuple[str, str]]] = {
     "Trajectory": {
         "ate_odometry_m": ("ATE of odometry alone (RMSE)", "{:.4f} m"),
+        "ate_live_m": ("ATE of poses as they were known at the time (RMSE)", "{:.4f} m"),
         "ate_m": ("ATE with loops (RMSE)", "{:.4f} m"),
         "ate_max_m": ("largest error with loops", "{:.4f} m"),
         "rpe_odometry_m": ("RPE of odometry alone, 30 frames (RMSE)", "{:.4f} m"),
         "rpe_m": ("RPE with loops, 30 frames (RMSE)", "{:.4f} m"),
+        "keyframe_nees": ("normalised squared error of keyframes (1: as uncertain)", "{:.2f}"),
+        "edge_nees": ("normalised squared error of edges", "{:.2f}"),
         "n_odometry_lost": ("losses of odometry", "{}"),
         "n_frames_lost": ("frames without a pose in the map", "{}"),
         "n_components": ("map components, which no loop connects", "{}"),

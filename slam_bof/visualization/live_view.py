@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Self
 
@@ -42,7 +43,7 @@ class LiveView:
     def __init__(self, observer: Observer, dataset: Dataset, target: str) -> None:
         self.recording = RerunRecording(dataset.sequence, target)
         self._observer, self._dataset = observer, dataset
-        self.recording.arrange(["map"], series=["health", "time"])
+        self.recording.arrange(["map"], series=["health", "uncertainty", "time"])
         self._map = MapSpace(self.recording)
         self._paths: dict[str, list[Array]] = {"path": [], "odometry": []}
         self._last_s = time.perf_counter()
@@ -67,6 +68,9 @@ class LiveView:
         self._plot("time/frame_ms", 1e3 * (now_s - self._last_s))
         self._plot("health/open_directions", step.open_axes.shape[1])
         self._plot("health/lost", step.is_lost)
+        if step.covariance is not None and step.health == "tracked":
+            variance_m2 = float(step.covariance[:3, :3].trace())
+            self._plot("uncertainty/position_m", math.sqrt(variance_m2))
         if step.T_map_camera is not None:
             T_odom_camera = se3.inverse(step.T_map_odom) @ step.T_map_camera
             self._paths["path"].append(step.T_map_camera[:3, 3])

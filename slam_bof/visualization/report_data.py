@@ -16,10 +16,16 @@ __all__ = ["FrameHealth", "PicturedPair", "ReportData"]
 
 
 class FrameHealth(NamedTuple):
-    """How a frame was tracked: ``Step.health``, and the number of open directions."""
+    """How a frame was tracked: ``Step.health``, and the number of open directions.
+
+    ``sigma_m`` and ``sigma_rad`` are the standard deviations of its position and direction by
+    ``Step.covariance``, over all three axes; NaN where unknown.
+    """
 
     health: str
     n_open: int
+    sigma_m: float = float("nan")
+    sigma_rad: float = float("nan")
 
 
 class PicturedPair(NamedTuple):

@@ -11,7 +11,14 @@ from plotly.subplots import make_subplots
 from slam_bof.types import Array, Candidate, Scene
 from slam_bof.visualization.figure_style import COLORS, Figure, apply_style, new_figure
 
-__all__ = ["draw_candidates", "draw_health", "draw_labels", "draw_reasons", "draw_stages"]
+__all__ = [
+    "draw_candidates",
+    "draw_health",
+    "draw_labels",
+    "draw_reasons",
+    "draw_stages",
+    "draw_uncertainty",
+]
 
 
 def draw_candidates(candidates: Sequence[Candidate], times_s: Array) -> Figure:
@@ -117,6 +124,20 @@ def draw_health(times_s: Array, n_open: Array, is_lost: NDArray[np.bool_]) -> Fi
         marker={"color": COLORS["bad"], "size": 6, "symbol": "square"},
     )
     figure.update_yaxes(range=[-0.2, 6.2], dtick=1)
+    return figure.update_layout(height=240)
+
+
+def draw_uncertainty(times_s: Array, sigma_m: Array, sigma_rad: Array) -> Figure:
+    """Draw the standard deviations of position and direction of each frame; NaN is a gap."""
+    figure = new_figure("time (s)", "standard deviation")
+    for name, sigma, color in (
+        ("position (m)", sigma_m, COLORS["odometry"]),
+        ("direction (degrees)", np.degrees(sigma_rad), COLORS["optimized"]),
+    ):
+        figure.add_scatter(
+            x=times_s, y=sigma, mode="lines", name=name, line={"color": color, "width": 1.5}
+        )
+    figure.update_yaxes(type="log")
     return figure.update_layout(height=240)
 
 

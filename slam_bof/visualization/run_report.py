@@ -135,6 +135,24 @@ def _health_section(data: ReportData) -> str:
         "leave directions open, along which the pose is that of odometry; in a lost one odometry "
         "contradicts what is seen.",
         page.figure_html(figures.draw_health(times_s, n_open, is_lost), "health"),
+    ) + _uncertainty_section(data, times_s, is_lost)
+
+
+def _uncertainty_section(data: ReportData, times_s: Array, is_lost: Array) -> str:
+    from slam_bof.visualization import report_figures as figures
+
+    sigma_m, sigma_rad = (
+        np.where(is_lost, np.nan, [getattr(frame, name) for frame in data.health])
+        for name in ("sigma_m", "sigma_rad")
+    )
+    if np.isnan(sigma_m).all():
+        return ""
+    return page.section(
+        "Uncertainty",
+        "How far each frame may be off in the map as it was known at the time, relative to the "
+        "first keyframe of its component, as one standard deviation over all axes. It grows with "
+        "the way, falls where a loop closes a circle, and is large where directions are open.",
+        page.figure_html(figures.draw_uncertainty(times_s, sigma_m, sigma_rad), "uncertainty"),
     )
 
 

@@ -6,7 +6,13 @@ from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 
-from slam_bof.bof import ContourParams, find_contours
+from slam_bof.bof import (
+    ContourParams,
+    LayerParams,
+    find_contours,
+    layer_contours,
+    layer_images,
+)
 
 EVERYTHING = ContourParams(closing_px=1, min_area_share=0.0)
 
@@ -45,6 +51,19 @@ def test_a_margin_that_is_there_already_changes_nothing(margin_px):
     assert padded.layer.tolist() == plain.layer.tolist()
     for a, b in zip(padded.points_px, plain.points_px, strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("closing_px", [1, 5])
+def test_contours_of_layers_are_those_of_their_images(closing_px):
+    points = np.random.default_rng(2).normal(size=(3000, 3)).astype(np.float32)
+    layers = LayerParams(n_layers=4, resolution_px=61)
+    params = ContourParams(closing_px=closing_px, min_area_share=0.0)
+    found = layer_contours(points, layers, params)
+    expected = find_contours(layer_images(points, layers), params)
+    assert len(found) > 10
+    assert found.layer.tolist() == expected.layer.tolist()
+    for ours, theirs in zip(found.points_px, expected.points_px, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_a_rectangle_is_found_in_its_place():

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from slam_bof.bof.levelled_slices import SliceParams, find_slice_contours, slice_images
+from slam_bof.bof.bit_images import unpack_bits
+from slam_bof.bof.levelled_slices import SliceParams, draw_slices, find_slice_contours
 from slam_bof.bof.polygons import Polygons
 
 PARAMS = SliceParams()
@@ -16,10 +17,9 @@ def box(centre, size, step=0.015):
 
 def test_a_pixel_is_drawn_where_a_slice_has_two_points():
     one_each = np.array([[0, 0.05, 2], [0, 0.15, 2], [1, 0.05, 2]], np.float32)
-    images, (first, *_) = slice_images(one_each, PARAMS)
-    k = np.flatnonzero(images.any(axis=(1, 2))) + first
+    images = unpack_bits(draw_slices(one_each, PARAMS), PARAMS.side_px + 2 * PARAMS.margin_px)
     # Heights 0.05 and 0.15 m are the 15th and 16th slab, which only slice 14 holds both of.
-    np.testing.assert_array_equal(k, [14])
+    np.testing.assert_array_equal(np.flatnonzero(images.any(axis=(1, 2))), [14])
     assert images.sum() == 1
 
 

@@ -287,6 +287,17 @@ def test_components_are_told_apart(parted: Path, caplog: pytest.LogCaptureFixtur
     )
 
 
+def test_uncertainty_is_printed_where_it_is_asked_for(parted: Path) -> None:
+    """It grows from keyframe to keyframe, less where a loop leads back, anew in each component."""
+    assert "sigma_m" not in found(parted)[0]
+    sigmas = [r["sigma_m"] for r in found(parted, "--uncertainty")]
+    assert sigmas[0] == sigmas[3] == 0.0
+    assert 0.0 < sigmas[2] < sigmas[1]
+    assert sigmas[4] == pytest.approx(sigmas[1])
+    table = slam_bof("query", parted, "--uncertainty", "--format", "csv").stdout.splitlines()
+    assert table[0].endswith("sigma_m,sigma_degrees")
+
+
 def test_exports_have_one_component(parted: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for form in ("tum", "kitti", "csv", "g2o"):

@@ -215,3 +215,18 @@ def test_recall_at_k_grows_with_k() -> None:
 def test_confusion_has_the_truth_in_its_rows() -> None:
     counts = evaluation.confusion(["a", "b", "b"], ["a", "a", "b"], ["a", "b"])
     assert counts.tolist() == [[1, 1], [0, 1]]
+
+
+def test_errors_as_large_as_covariances_say_have_a_nees_of_one():
+    rng = np.random.default_rng(0)
+    covariance = np.diag([1e-4, 2e-4, 1e-4, 4e-4, 1e-4, 1e-4])
+    truth = np.array([se3.exp(rng.normal(0.0, 1.0, 6)) for _ in range(400)])
+    errors = rng.multivariate_normal(np.zeros(6), covariance, 400)
+    estimate = np.array([T @ se3.exp(e) for T, e in zip(truth, errors, strict=True)])
+    covariances = np.repeat(covariance[None], 400, axis=0)
+    assert evaluation.nees(estimate, truth, covariances) == pytest.approx(1.0, rel=0.1)
+    assert evaluation.nees(estimate, truth, 4.0 * covariances) == pytest.approx(0.25, rel=0.1)
+    truth[5:] = np.nan
+    assert evaluation.nees(estimate, truth, covariances) is not None
+    truth[:] = np.nan
+    assert evaluation.nees(estimate, truth, covariances) is None

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import DepthView, se3
-from slam_bof.geometry.projection import OUTSIDE, interpolated_depth, project
+from slam_bof.geometry.projection import (
+    by_axis,
+    interpolated_depth,
+    nearest_pixel,
+    project,
+)
 from slam_bof.geometry.view_stack import ViewStack
 from slam_bof.types import Intrinsics
 
@@ -23,25 +28,32 @@ def wall():
     return arrays_of(depth)
 
 
+def projected(views, T, points):
+    """Columns, rows and depths (3, m) of points (m, 3)."""
+    found = np.empty((3, len(points)))
+    project(views, T, by_axis(np.asarray(points)), found)
+    return found
+
+
 def depth_at(views, point):
     """Depth that the only view has where a point falls."""
-    pixel, column_offset, row_offset, _ = project(views, np.eye(4), *point)
-    return interpolated_depth(views, 0, pixel, column_offset, row_offset)
+    ((column,), (row,), _) = projected(views, np.eye(4), [point])
+    return interpolated_depth(views, 0, column, row)
 
 
 def test_the_point_of_a_pixel_falls_on_it(wall):
-    for pixel, ray in enumerate(wall.rays.astype(np.float64)):
-        found, column_offset, row_offset, depth_m = project(wall, np.eye(4), *(2.0 * ray))
-        assert found == pixel
-        assert [column_offset, row_offset] == pytest.approx([0.0, 0.0], abs=1e-5)
-        assert depth_m == 2.0
+    columns, rows, depths_m = projected(wall, np.eye(4), 2.0 * wall.rays)
+    for pixel, (column, row) in enumerate(zip(columns, rows, strict=True)):
+        assert nearest_pixel(wall.width, column, row) == pixel
+        assert [column, row] == pytest.approx(divmod(pixel, CAMERA.width)[::-1], abs=1e-5)
+    assert (depths_m == 2.0).all()
 
 
-def test_between_pixels_the_offset_is_from_the_nearest(wall):
+def test_between_pixels_the_nearest_counts(wall):
     x, y = (5.3 - CAMERA.cx) / CAMERA.fx, (1.8 - CAMERA.cy) / CAMERA.fy
-    pixel, column_offset, row_offset, _ = project(wall, np.eye(4), 3.0 * x, 3.0 * y, 3.0)
-    assert divmod(pixel, CAMERA.width) == (2, 5)
-    assert [column_offset, row_offset] == pytest.approx([0.3, -0.2])
+    ((column,), (row,), (depth_m,)) = projected(wall, np.eye(4), [(3.0 * x, 3.0 * y, 3.0)])
+    assert [column, row, depth_m] == pytest.approx([5.3, 1.8, 3.0])
+    assert divmod(nearest_pixel(wall.width, column, row), CAMERA.width) == (2, 5)
 
 
 @pytest.mark.parametrize(
@@ -49,8 +61,15 @@ def test_between_pixels_the_offset_is_from_the_nearest(wall):
 )
 def test_what_is_behind_or_aside_falls_nowhere(wall, tangent):
     T = se3.exp(np.array(tangent, np.float64))
-    for ray in wall.rays.astype(np.float64):
-        assert project(wall, T, *(2.0 * ray))[0] == OUTSIDE
+    assert (projected(wall, T, 2.0 * wall.rays)[2] == 0.0).all()
+
+
+@pytest.mark.parametrize(
+    ("column", "is_inside"), [(-0.6, False), (-0.4, True), (7.4, True), (7.6, False)]
+)
+def test_a_pixel_is_a_square(wall, column, is_inside):
+    point = ((column - CAMERA.cx) / CAMERA.fx, 0.0, 1.0)
+    assert projected(wall, np.eye(4), [point])[2, 0] == (1.0 if is_inside else 0.0)
 
 
 def test_depth_between_pixels_is_that_of_a_wall_at_a_grazing_angle():
@@ -62,7 +81,8 @@ def test_depth_between_pixels_is_that_of_a_wall_at_a_grazing_angle():
     farthest_off_m = 0.0
     for z in np.linspace(2.6, 20.0, 40):
         assert depth_at(views, (1.0, 0.0, z)) == pytest.approx(z, rel=1e-4)
-        nearest_m = views.depths_m[0, project(views, np.eye(4), 1.0, 0.0, z)[0]]
+        ((column,), (row,), _) = projected(views, np.eye(4), [(1.0, 0.0, z)])
+        nearest_m = views.depths_m[0, nearest_pixel(views.width, column, row)]
         farthest_off_m = max(farthest_off_m, abs(nearest_m - z))
     assert farthest_off_m > 1.0
 
@@ -92,6 +112,10 @@ def test_the_border_of_an_image_does_not_continue_on_the_other_side():
 
 
 def test_compiled_code_does_what_python_does(wall):
-    point = 0.2, -0.1, 1.7
     T = se3.exp(np.array([0.1, -0.05, 0.02, 0.1, 0.0, -0.1]))
-    assert project(wall, T, *point) == project.py_func(wall, T, *point)
+    points = by_axis(np.random.default_rng(0).uniform((-2, -2, -1), (2, 2, 4), (50, 3)))
+    compiled, interpreted = np.empty((2, *points.shape))
+    project(wall, T, points, compiled)
+    project.py_func(wall, T, points, interpreted)
+    np.testing.assert_array_equal(compiled, interpreted)
+    assert 0 < np.count_nonzero(compiled[2]) < 50

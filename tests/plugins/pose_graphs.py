@@ -24,14 +24,14 @@ def error_m(poses, truth):
     return np.linalg.norm(poses[:, :3, 3] - truth[:, :3, 3], axis=1).max()
 
 
-def loop(truth, query_id, match_id, *, information=None, wrong=None):
+def loop(truth, query_id, match_id, *, information=None, wrong=None, kind="loop"):
     T = se3.inverse(truth[match_id]) @ truth[query_id]
     return Loop(
         query_id,
         match_id,
         T if wrong is None else T @ wrong,
         100.0 * np.eye(6) if information is None else information,
-        "loop",
+        kind,
         "bag",
     )
 

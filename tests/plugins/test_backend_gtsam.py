@@ -182,6 +182,19 @@ def test_almost_rotations_do_no_harm():
     np.testing.assert_allclose(backend.poses(), odometry, atol=1e-3)
 
 
+def test_errors_below_the_tolerance_do_not_add_up_while_frames_arrive():
+    """Each step is off by less than the tolerance, and the edges beside it say so."""
+    truth, odometry = circle()
+    backend = GtsamBackend()
+    for k, T in enumerate(odometry):
+        backend.add_keyframe(Keyframe(k, k, float(k), T, EMPTY, None))
+        for match_id in range(max(0, k - 2), k):
+            backend.add_loop(loop(truth, k, match_id, kind="covisibility"))
+        backend.update()
+    assert error_m(odometry, truth) > 0.1
+    assert error_m(backend.poses(), truth) < 0.005
+
+
 @pytest.fixture
 def restarted():
     """Twice round the circle, the second time by an odometry that was started anew."""

@@ -62,6 +62,9 @@ def test_it_finds_true_loops_and_they_help(finished):
     assert metrics["n_loops"] > 0
     assert metrics["loop_precision"] == 1.0
     assert metrics["ate_m"] < metrics["ate_odometry_m"]
+    assert 0.8 * metrics["ate_m"] < metrics["ate_live_m"] < metrics["ate_odometry_m"]
+    assert 0.0 < metrics["keyframe_nees"] < 5.0
+    assert 0.2 < metrics["edge_nees"] < 5.0
     assert metrics["scene_accuracy"] is None
 
 
@@ -114,6 +117,8 @@ def test_the_audit_trail_names_each_decision(finished):
     assert len(frames) == 90
     for frame in frames:
         assert (frame["component"] == "") == (frame["health"] == "lost")
+        assert float(frame["sigma_m"]) > 0.0
+        assert (float(frame["sigma_rad"]) < 0.1) == (frame["health"] == "tracked")
     assert {int(frame["component"]) for frame in frames if frame["component"]} == set(
         components.tolist()
     )

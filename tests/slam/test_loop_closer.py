@@ -154,6 +154,23 @@ def test_the_covariance_of_a_keyframe_adds_up_since_the_one_before(look, standpo
     assert saved is second.step_covariance
 
 
+def test_a_frame_has_the_covariance_of_its_pose(look, standpoint):
+    T_world_first = ahead(standpoint)
+    closer = LoopCloser.from_preset()
+    sigmas = []
+    for k in range(12):
+        T = se3.exp(np.array([0.0, 0.04 * k, 0.0, 0.0, 0.0, 0.0]))
+        step = closer.process(look(T_world_first @ T, k), T)
+        variances = np.diag(step.covariance)
+        assert (variances > 0.0).all()
+        sigmas.append(np.sqrt(variances[:3].sum()))
+    assert len(closer.map.keyframes) > 2
+    assert sigmas[-1] > sigmas[0]  # it grows along the way
+    assert sigmas[-1] < 0.2
+    away = closer.process(look(T_world_first, 12), T @ se3.pose(np.eye(3), [5.0, 0.0, 0.0]))
+    assert not away.is_lost or np.diag(away.covariance).min() > 1.0
+
+
 def test_the_papers_preset_closes_loops_by_ransac_and_labels_by_bags(look, standpoint):
     x, y = standpoint
     turns = [

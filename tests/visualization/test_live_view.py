@@ -54,6 +54,7 @@ def test_a_run_is_recorded_and_read_back(tmp_path):
     assert len(at) == 15
     assert np.abs(at).max() < 0.02, "it turns on the spot"
     assert len(rows["/health/open_directions"]) == len(rows["/time/frame_ms"]) == 15
+    assert rows["/uncertainty/position_m"]
     assert len(rows["/warnings"]) == 1
     ids = [keyframe.id for keyframe in closer.map.keyframes]
     assert len(ids) > 2

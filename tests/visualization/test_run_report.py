@@ -220,6 +220,15 @@ def test_health_is_drawn_over_time(tmp_path: Path, data: ReportData) -> None:
     assert "Tracking" not in headings(write(tmp_path, replace(data, health=health[1:])))
 
 
+def test_uncertainty_is_drawn_but_for_lost_frames(tmp_path: Path, data: ReportData) -> None:
+    health = [FrameHealth("tracked", 0, 0.01 * k, 0.001 * k) for k in range(35)]
+    health += [FrameHealth("lost", 0, 17.0, 17.0)] * 5
+    position, direction = plots(write(tmp_path, replace(data, health=health)))["uncertainty"]
+    assert (position["name"], direction["name"]) == ("position (m)", "direction (degrees)")
+    unknown = [FrameHealth("tracked", 0)] * 40
+    assert "Uncertainty" not in headings(write(tmp_path, replace(data, health=unknown)))
+
+
 def test_command_and_configuration_are_text(tmp_path: Path, data: ReportData) -> None:
     made = replace(data, command="slam-bof run 'a & b'", configuration="seed: 0\n# <b>\n")
     html = without_library(write(tmp_path, made))

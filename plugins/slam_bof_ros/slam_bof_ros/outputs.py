@@ -39,9 +39,6 @@ __all__ = [
     "transform_message",
 ]
 
-HELD_VARIANCE = 1e-4
-"""Of the pose along directions that the surfaces hold, in m^2 and rad^2."""
-OPEN_VARIANCE = 1e2
 OCCUPANCY = {254: 0, 0: 100, 205: -1}
 """nav_msgs by the grey values of map_server."""
 
@@ -66,14 +63,12 @@ def transform_message(stamp_s: float, frame: str, child: str, T: Pose) -> Transf
 def pose_message(
     stamp_s: float, frame: str, T_map_camera: Pose, step: Step
 ) -> PoseWithCovarianceStamped:
-    """Return the pose of the camera, uncertain along the directions that surfaces leave open."""
+    """Return the pose of the camera with its covariance, along and about the axes of the map."""
     message = PoseWithCovarianceStamped(header=Header(stamp=time_message(stamp_s), frame_id=frame))
     message.pose.pose = _pose(T_map_camera)
-    axes, R = step.open_axes, T_map_camera[:3, :3]
-    # Tangents of the camera's pose have rotation first; the message has the map's axes.
-    axes = np.vstack([R @ axes[3:], R @ axes[:3]])
-    covariance = HELD_VARIANCE * np.eye(6) + OPEN_VARIANCE * axes @ axes.T
-    message.pose.covariance = covariance.ravel().tolist()
+    if step.covariance is not None:
+        turned = np.kron(np.eye(2), T_map_camera[:3, :3])
+        message.pose.covariance = (turned @ step.covariance @ turned.T).ravel().tolist()
     return message
 
 
