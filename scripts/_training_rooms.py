@@ -3,7 +3,7 @@
     DATA/nyu_scenes/labels.csv            single images by room, of NYU Depth v2
     DATA/7scenes/redkitchen/seq-01 ...    sequences, each of one room (SEQUENCES)
 
-Scenes that are none of the classes are for measuring only. Every real image is described as it is
+Scenes that are none of the classes tell how certain to be. Every real image is described as it is
 and as other sensors would have measured it; messy synthetic ones only so, since no sensor has
 measured them. Tidy synthetic rooms, as in the demo, are measured by one sensor.
 """
@@ -18,6 +18,7 @@ from itertools import compress
 from pathlib import Path
 
 import numpy as np
+from _rendered_views import RenderedViews
 from numpy.typing import NDArray
 from rich.progress import track
 
@@ -32,7 +33,7 @@ from slam_bof.scenes import (
     remeasure,
     room_network,
 )
-from slam_bof.synthetic import FIRST_KINDS, ROOM_KINDS, messy_views, training_views
+from slam_bof.synthetic import FIRST_KINDS, ROOM_KINDS
 from slam_bof.types import Array, DepthFrame
 
 NYU_CAMERA = {
@@ -100,20 +101,24 @@ class Rooms:
         """
         is_known = np.array(self.labels()) != UNKNOWN_LABEL
         known, unknown = self.select(is_known), self.select(~is_known)
-        _, index, counts = np.unique(self.groups, return_inverse=True, return_counts=True)
-        weights = WEIGHTS[self.origins] / np.sqrt(counts[index])
         return LevelledClassifier.fit(
             known.features,
             known.labels(),
             known.groups,
             copies=known.copies,
-            weights=weights[is_known],
+            weights=known.weights(),
             calibrate_on=known.is_real,
             unknown=unknown.features,
-            unknown_weights=weights[~is_known],
+            unknown_weights=unknown.weights(),
+            n_words=0,
             network=room_network(seed),
             seed=seed,
         )
+
+    def weights(self) -> Array:
+        """Return the weight of each view (N,)."""
+        _, index, counts = np.unique(self.groups, return_inverse=True, return_counts=True)
+        return WEIGHTS[self.origins] / np.sqrt(counts[index])
 
 
 View = tuple[DepthFrame, Array | None, str, str]
@@ -128,6 +133,7 @@ def collect(
     n_frames: int,
     n_copies: int,
     seed: int,
+    rendered: RenderedViews,
 ) -> Rooms:
     """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room.
 
@@ -135,8 +141,8 @@ def collect(
     """
     parts = (
         real_rooms(data, n_frames, n_copies, seed),
-        messy_rooms(n_messy, n_views, seed),
-        tidy_rooms(n_tidy, n_views),
+        messy_rooms(rendered, n_messy, n_views, seed),
+        tidy_rooms(rendered, n_tidy, n_views),
     )
     return join(parts)
 
@@ -158,20 +164,20 @@ def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     views = list(_images(data)) + list(_frames(data, n_frames))
     for frame, down, scene, room in track(views, "Real rooms"):
-        rooms.features.append(levelled_features(frame, gravity_camera=down))
+        rooms.features.append(levelled_features(frame, gravity_camera=down, with_shapes=False))
         rooms.copies.append([_copy(frame, down, rng) for _ in range(n_copies)])
         rooms.scenes.append(scene)
         rooms.groups.append(room)
     return replace(rooms, origins=np.full(len(views), REAL))
 
 
-def messy_rooms(n_rooms: int, n_views: int, seed: int) -> Rooms:
+def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
     rng = np.random.default_rng([seed, MESSY])
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
         for kind in ROOM_KINDS:
-            for frame, down in messy_views(kind, number, n_views):
+            for frame, down in rendered.messy(kind, number, n_views):
                 rooms.features.append(_copy(frame, down, rng))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
@@ -179,13 +185,13 @@ def messy_rooms(n_rooms: int, n_views: int, seed: int) -> Rooms:
     return replace(rooms, copies=[[]] * n, origins=np.full(n, MESSY))
 
 
-def tidy_rooms(n_rooms: int, n_views: int) -> Rooms:
+def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     for number in track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
         for kind in FIRST_KINDS:
-            for frame in training_views(kind, number, n_views):
-                rooms.features.append(levelled_features(frame))
+            for frame, _ in rendered.tidy(kind, number, n_views):
+                rooms.features.append(levelled_features(frame, with_shapes=False))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
     n = len(rooms.features)
@@ -194,7 +200,7 @@ def tidy_rooms(n_rooms: int, n_views: int) -> Rooms:
 
 def _copy(frame: DepthFrame, down: Array | None, rng: np.random.Generator) -> LevelledFeatures:
     measured, down = remeasure(frame, rng, down)
-    return levelled_features(measured, gravity_camera=down)
+    return levelled_features(measured, gravity_camera=down, with_shapes=False)
 
 
 def _images(data: Path) -> Iterator[View]:

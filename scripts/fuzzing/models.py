@@ -6,6 +6,7 @@ import json
 import random
 import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,16 @@ from fuzzing.cases import Reader, expect, turn, write_image
 from fuzzing.mutations import mutate_array, mutate_bytes, mutate_json
 from slam_bof.bof import LayerParams, PlaceParams
 from slam_bof.datasets import read_depth_image
-from slam_bof.scenes import FrameDescriptors, SceneClassifier, fit_model, model as models
+from slam_bof.scenes import (
+    ConstellationClassifier,
+    FrameDescriptors,
+    SceneClassifier,
+    fit_model,
+    model as models,
+)
+from slam_bof.scenes.contour_tokens import N_TOKEN_VALUES
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES
+from slam_bof.scenes.set_transformer import SetTransformer, TransformerShape
 from slam_bof.scenes.stored_classifier import read_entries, zip_entries
 
 __all__ = ["READERS"]
@@ -46,7 +56,19 @@ def prepare_models(place: Path) -> None:
         models.save(made, place / f"{name}.bof")
     data = Path(models.__file__).parents[1] / "data" / "synthetic.bof"
     shutil.copy(data, place / "synthetic.bof")
+    attending = replace(models.load(data), constellation_classifier=_untrained(rng))
+    models.save(attending, place / "constellation.bof")
     write_image(place / "frame.png", turn()[0][0])
+
+
+def _untrained(rng: np.random.Generator) -> ConstellationClassifier:
+    """Return a classifier of constellations with random weights."""
+    shape = TransformerShape(n_profile=N_PROFILE_VALUES, n_token=N_TOKEN_VALUES, n_classes=3)
+    values = np.zeros(N_PROFILE_VALUES + N_TOKEN_VALUES, np.float32)
+    weights = {k: 0.1 * rng.standard_normal(n, np.float32) for k, n in shape.weights().items()}
+    return ConstellationClassifier(
+        SetTransformer(shape, weights, values, values + 1), tuple("abc"), 1.0
+    )
 
 
 def damage_model(place: Path, case: Path, rng: random.Random) -> None:
@@ -86,15 +108,16 @@ def read_model(place: Path, case: Path) -> None:
     frame, _ = read_depth_image(place / "frame.png", intrinsics=(140.0, 140.0, 79.5, 59.5))
     with np.errstate(all="ignore"):
         bag = model.describer().describe(frame) if model.places.layers.axis != "gravity" else None
-        labeller = model.labeller()
-        if labeller is None or bag is None:
+        if bag is None:
             return
-        scene = labeller.label(frame, bag=bag)
+        labellers = (model.labeller(), model.constellation_classifier)
+        scenes = [each.label(frame, bag=bag) for each in labellers if each is not None]
     expect(bool(np.isfinite(bag.weights).all()), "weights of a bag")
-    probabilities = scene.probabilities
-    expect(bool(np.isfinite(probabilities).all() and probabilities.min() >= 0), "probabilities")
-    expect(abs(float(probabilities.sum()) - 1.0) < 1e-3, "sum of probabilities")
-    expect(scene.label in scene.classes, "label")
+    for scene in scenes:
+        p = scene.probabilities
+        expect(bool(np.isfinite(p).all() and p.min() >= 0), "probabilities")
+        expect(abs(float(p.sum()) - 1.0) < 1e-3, "sum of probabilities")
+        expect(scene.label in scene.classes, "label")
 
 
 READERS = {

@@ -12,6 +12,7 @@ from .compression import (
     unpack as unpack,
 )
 from .constellation import (
+    N_HARMONICS as N_HARMONICS,
     Constellation as Constellation,
     ConstellationParams as ConstellationParams,
     PlacedBofs as PlacedBofs,

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["app"]
 
+LabelledBy = Literal["levelled", "bag", "constellation"]
 KEYFRAMES = (
     ("keyframe", "id"),
     ("frame", "frame_index"),
@@ -242,12 +243,16 @@ def image(
     intrinsics: INTRINSICS = None,
     depth_scale: DEPTH_SCALE = None,
     min_probability: MIN_PROBABILITY = 0.0,
+    by: Annotated[
+        LabelledBy,
+        typer.Option(help="Classifier of the model that labels the image; see labels.by."),
+    ] = "levelled",
     format_: FORMAT = "table",
     as_json: JSON = False,
 ) -> None:
     """Print the scene label that a model gives a single depth image."""
     form: Format = "json" if as_json else format_
-    _label_image(path, model, map_, intrinsics, depth_scale, min_probability, form)
+    _label_image(path, model, map_, intrinsics, depth_scale, min_probability, form, by)
 
 
 def _label_image(
@@ -258,6 +263,7 @@ def _label_image(
     depth_scale: float | None,
     min_probability: float,
     form: Format,
+    by: LabelledBy = "levelled",
 ) -> None:
     from slam_bof.cli.console import print_json
     from slam_bof.scenes import label_frame, model as models
@@ -265,7 +271,7 @@ def _label_image(
     chosen = models.resolve(model)
     frame, source = read_image(path, map_, intrinsics=intrinsics, depth_scale=depth_scale)
     answer = label_frame(
-        frame, chosen, name=str(path), source=source, min_probability=min_probability
+        frame, chosen, name=str(path), source=source, min_probability=min_probability, by=by
     )
     if form == "json":
         print_json(asdict(answer))

@@ -67,6 +67,14 @@ def train(
             "words of the paper, the default with --classifier or --grid-search.",
         ),
     ] = None,
+    constellation: Annotated[
+        bool,
+        typer.Option(
+            "--constellation",
+            help="Also train a set transformer on the BOFs of a view, with PyTorch (extra train). "
+            "run labels by it with --set labels.by=constellation.",
+        ),
+    ] = False,
     layers: Annotated[
         int | None, typer.Option(min=1, help="Layers of a frame's point cloud; by default 20.")
     ] = None,
@@ -143,6 +151,11 @@ def train(
             "--from: found with --unlabelled or options for bags or layers, expected it without: "
             "the words of a model stay, and its levelled classifier continues"
         )
+    if constellation and (unlabelled or of_bags or descriptor == "bof" or start is not None):
+        raise ConfigError(
+            "--constellation: found with --unlabelled, --from or options for bags, expected it "
+            "with levelled views"
+        )
     if page is not None and (unlabelled or not check):
         raise ConfigError("--page: found without a check, expected --check and labels")
     from slam_bof.bof import LayerParams, PlaceParams
@@ -158,8 +171,10 @@ def train(
         read_label_file,
     )
     from slam_bof.evaluation import TrainedSceneModel, train_scene_model, train_words
-    from slam_bof.scenes import model as models
+    from slam_bof.scenes import import_torch, model as models
 
+    if constellation:
+        import_torch()
     _check_out(out)
     if page is not None:
         page.mkdir(parents=True, exist_ok=True)  # before the work of minutes
@@ -197,6 +212,7 @@ def train(
             trained_on=", ".join(names),
             n_words=n_words,
             levelled=descriptor != "bof" and not of_bags,
+            constellation=constellation,
             classifier=classifier,
             grid_search=grid_search,
             check=check,

@@ -65,6 +65,7 @@ def train_scene_model(
     trained_on: str,
     n_words: int = 1024,
     levelled: bool = True,
+    constellation: bool = False,
     classifier: ClassifierName | None = None,
     grid_search: bool = False,
     check: bool = True,
@@ -89,6 +90,8 @@ def train_scene_model(
     levelled
         Whether to train a levelled classifier. Without it, or with ``classifier`` or
         ``grid_search``, the model labels bags of words, as in the paper.
+    constellation
+        Whether to train a classifier of constellations too, which needs PyTorch and ``levelled``.
     classifier
         One of ``CLASSIFIERS``, for bags of words; by default a linear support vector machine.
     grid_search
@@ -127,6 +130,7 @@ def train_scene_model(
         _read(frames, on_progress),
         params,
         levelled=levelled,
+        with_tokens=constellation,
         n_copies=n_copies,
         seed=seed,
         n_jobs=n_jobs,
@@ -150,6 +154,7 @@ def train_scene_model(
                 seed=seed,
                 trained_on=trained_on,
                 bag_classifier=bag_classifier,
+                constellation=constellation,
             )
         except ValueError as error:
             raise DatasetError(f"cannot train on {len(selected.labels)} frames: {error}") from error

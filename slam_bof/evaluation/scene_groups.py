@@ -21,13 +21,17 @@ from slam_bof.evaluation.cost import Cost, one_thread
 from slam_bof.evaluation.scene_benchmark import SceneResult
 from slam_bof.evaluation.scene_metrics import scene_scores
 from slam_bof.scenes import (
+    ConstellationClassifier,
     LevelledClassifier,
     LevelledFeatures,
     SceneClassifier,
+    TransformerTraining,
     bof_tokens,
+    import_torch,
     levelled_features,
     remeasure,
     room_network,
+    turned_tokens,
 )
 from slam_bof.types import Array, DepthFrame
 
@@ -36,10 +40,14 @@ __all__ = ["GROUP_METHODS", "check_groups", "cross_validate_groups"]
 Progress = Callable[[str, int, int], None]
 Bag = NDArray[np.float32]
 
-GROUP_METHODS = ("ours", "profile", "words", "tokens", "profile+tokens", "bag:linear", "bag:rbf")
+GROUP_METHODS = (
+    "ours", "profile", "words", "tokens", "profile+tokens", "transformer", "profile+transformer",
+    "bag:linear", "bag:rbf",
+)  # fmt: skip
 """Methods by name. ``ours`` is the height profile with shape words, as ``train`` learns it;
-``tokens`` is the set of placed BOFs; ``bag`` the paper's bag of words with a support vector
-machine."""
+``tokens`` is a histogram of the kinds of placed BOFs, ``transformer`` attends to the set of them
+(``--constellation`` of ``train`` is ``profile+transformer``); ``bag`` is the paper's bag of words
+with a support vector machine."""
 
 
 @dataclass
@@ -219,6 +227,12 @@ def _make(name: str, n_words: int, seed: int) -> _Method:
             return _Method(name, _tokens_only, _fit_levelled(seed))
         case "profile+tokens":
             return _Method(name, _profile_and_tokens, _fit_levelled(seed))
+        case "transformer":
+            import_torch()
+            return _Method(name, _set_only, _fit_constellation(seed))
+        case "profile+transformer":
+            import_torch()
+            return _Method(name, _set_and_profile, _fit_constellation(seed))
         case "bag:linear" | "bag:rbf":
             kernel = name.partition(":")[2]
             return _Method(name, _bofs, _fit_bags(kernel, n_words, seed), uses_copies=False)
@@ -240,13 +254,22 @@ def _words_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
 
 
 def _tokens_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
-    tokens = bof_tokens(frame, gravity_camera=down)
+    tokens = turned_tokens(bof_tokens(frame, gravity_camera=down))
     return LevelledFeatures(np.zeros(1, np.float32), tokens)
 
 
 def _profile_and_tokens(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
-    tokens = bof_tokens(frame, gravity_camera=down)
+    tokens = turned_tokens(bof_tokens(frame, gravity_camera=down))
     return LevelledFeatures(_features(frame, down).profile, tokens)
+
+
+def _set_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
+    tokens = bof_tokens(frame, gravity_camera=down)
+    return LevelledFeatures(np.zeros(0, np.float32), tokens[:0], tokens=tokens)
+
+
+def _set_and_profile(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
+    return levelled_features(frame, gravity_camera=down, with_tokens=True)
 
 
 def _bofs(frame: DepthFrame, down: Array | None) -> NDArray[np.float32]:
@@ -268,6 +291,30 @@ def _fit_levelled(seed: int) -> Callable[..., _Predictor]:
             weights=np.ones(len(labels)),
             network=room_network(seed),
             seed=seed,
+        )
+
+        def predict(item: LevelledFeatures) -> tuple[tuple[str, ...], Array]:
+            scene = classifier.label_features(item)
+            return scene.classes, scene.probabilities
+
+        return predict, sum(array.nbytes for array in classifier.arrays().values())
+
+    return fit
+
+
+def _fit_constellation(seed: int) -> Callable[..., _Predictor]:
+    def fit(
+        features: list[LevelledFeatures],
+        copies: list[list[LevelledFeatures]],
+        labels: list[str],
+        groups: list[str],
+    ) -> _Predictor:
+        classifier = ConstellationClassifier.fit(
+            features,
+            labels,
+            groups,
+            copies=copies,
+            training=TransformerTraining(seed=seed),
         )
 
         def predict(item: LevelledFeatures) -> tuple[tuple[str, ...], Array]:

@@ -12,8 +12,12 @@ from .classifiers import (
     make_classifier as make_classifier,
     search_svm as search_svm,
 )
+from .constellation_classifier import (
+    ConstellationClassifier as ConstellationClassifier,
+)
 from .contour_tokens import (
     bof_tokens as bof_tokens,
+    turned_tokens as turned_tokens,
 )
 from .folds import (
     cut_segments as cut_segments,
@@ -44,6 +48,11 @@ from .model import (
 from .room_segmentation import (
     MapRoom as MapRoom,
     RoomSegmentationParams as RoomSegmentationParams,
+)
+from .set_transformer_training import (
+    TransformerTraining as TransformerTraining,
+    fit_transformer as fit_transformer,
+    import_torch as import_torch,
 )
 from .single_image import (
     label_frame as label_frame,

@@ -1,7 +1,7 @@
 """BOFs of level slices as a set of tokens: shape, size, height and place of each contour.
 
-A token is what the constellation keeps of a contour (``slam_bof.bof.Constellation``), without
-what changes when the camera turns. A view is the set of its tokens.
+A token is what the constellation keeps of a contour (``slam_bof.bof.Constellation``), with its
+height above the floor. A view is the set of its tokens.
 """
 
 from __future__ import annotations
@@ -9,34 +9,52 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.bof import ConstellationParams, place_bofs
-from slam_bof.scenes.levelled_cloud import levelled_cloud
+from slam_bof.bof import N_HARMONICS, ConstellationParams, place_bofs
+from slam_bof.scenes.levelled_cloud import LevelledCloud, levelled_cloud
 from slam_bof.types import Array, DepthFrame
 
-__all__ = ["bof_tokens"]
+__all__ = ["N_TOKEN_VALUES", "bof_tokens", "contour_tokens", "turned_tokens"]
 
 PARAMS = ConstellationParams()
+N_TOKEN_VALUES = 6 + 2 * N_HARMONICS
+"""Length of a token."""
 SHAPE_WEIGHT = 3.0
 """Weight of the spectrum's magnitudes against heights in metres and logarithms of sizes."""
 
 
 def bof_tokens(frame: DepthFrame, *, gravity_camera: Array | None = None) -> NDArray[np.float32]:
-    """Return a token of each contour of a frame, (C, D), the longest contour first.
+    """Return ``contour_tokens`` of a frame; parameters are those of ``levelled_features``."""
+    return contour_tokens(levelled_cloud(frame, gravity_camera=gravity_camera))
 
-    Its values are the height of the slice above the floor and the distance ahead in metres, half
-    weighted; the logarithms of largest radius and length; and the magnitudes of the spectrum of
-    the 180 radii, which do not change when the contour turns. Parameters are those of
-    ``levelled_features``.
+
+def contour_tokens(cloud: LevelledCloud) -> NDArray[np.float32]:
+    """Return a token of each contour of a view, (C, N_TOKEN_VALUES), the longest contour first.
+
+    Its values are the height of the slice above the floor, x and z of the contour's centroid in
+    the levelled frame in metres; the logarithms of largest radius and length in metres; the mean of
+    the 180 radii, divided by the largest; and their spectrum.
     """
-    cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
     bofs = place_bofs(cloud.points, PARAMS)
     middle_m = PARAMS.slices.top_m + PARAMS.slices.step_m * (bofs.slices + 1.0)
-    real, imaginary = np.split(bofs.codes, 2, axis=1)
     columns = [
-        cloud.camera_height_m - middle_m[:, None],
-        0.5 * np.abs(bofs.centroids_m)[:, None],
-        bofs.log_radii[:, None],
-        np.log(bofs.lengths_m)[:, None],
-        SHAPE_WEIGHT * np.hypot(real, imaginary),
+        cloud.camera_height_m - middle_m,
+        bofs.centroids_m.real,
+        bofs.centroids_m.imag,
+        bofs.log_radii,
+        np.log(bofs.lengths_m),
+        bofs.means,
     ]
-    return np.concatenate(columns, axis=1).astype(np.float32)
+    return np.concatenate([np.transpose(columns), bofs.codes], axis=1, dtype=np.float32)
+
+
+def turned_tokens(tokens: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return what does not change when the camera turns, of tokens (C, N_TOKEN_VALUES).
+
+    These are height, half the distance, the logarithms of radius and length, and the magnitudes of
+    the spectrum: (C, 4 + N_HARMONICS), weighted so that their distances tell contours apart.
+    """
+    heights_m, x_m, z_m, log_radii, log_lengths, _ = tokens[:, :6].T
+    real, imaginary = np.split(tokens[:, 6:], 2, axis=1)
+    columns = [heights_m, 0.5 * np.hypot(x_m, z_m), log_radii, log_lengths]
+    magnitudes = SHAPE_WEIGHT * np.hypot(real, imaginary)
+    return np.concatenate([np.transpose(columns), magnitudes], axis=1, dtype=np.float32)

@@ -9,21 +9,22 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.core import compiled
 from slam_bof.scenes.levelled_cloud import LevelledCloud
 from slam_bof.types import Array
 
-__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "measure_profile"]
+__all__ = ["FLOOR_SEEN", "N_PROFILE_VALUES", "SURFACE_SHARE", "compile_profile", "measure_profile"]
 
 Floats = NDArray[np.float32]
 
-HEIGHT_STEP_M, N_HEIGHTS = 0.1, 26
+HEIGHT_STEP_M, N_HEIGHTS = np.float32(0.1), 26
 TILT_EDGES = (-0.9, -0.35, -0.12, 0.12, 0.35, 0.9)
 """Bin edges of the upward component of a normal: from ceilings (first) over walls to floors."""
 N_TILTS = len(TILT_EDGES) + 1
-LEVEL_STEP_M, N_LEVELS = 0.04, 35
+LEVEL_STEP_M, N_LEVELS = np.float32(0.04), 35
 """Finer height bins, for level surfaces that face up."""
-BAND_STEP_M, N_BANDS = 0.3, 9
-DISTANCE_STEP_M, N_DISTANCES = 0.5, 10
+BAND_STEP_M, N_BANDS = np.float32(0.3), 9
+DISTANCE_STEP_M, N_DISTANCES = np.float32(0.5), 10
 MIN_CURVATURE = 0.08
 """A surface is curved where one minus the cosine between neighbouring normals exceeds this."""
 EDGE_M, EDGE_SHARE = 0.06, 0.03
@@ -32,12 +33,18 @@ MIN_SLANT_COSINE = 0.15
 """Least cosine between ray and normal used for areas; grazing surfaces would seem huge."""
 EXTENT_PERCENTILES = (2, 10, 50, 90, 98)
 
-N_PROFILE_VALUES = (
-    N_HEIGHTS * (N_TILTS + 1) + N_LEVELS + N_BANDS * N_DISTANCES + 2 * N_HEIGHTS + 3 * 5 + 3
-)
+CURVED = N_TILTS * N_HEIGHTS
+LEVELS = CURVED + N_HEIGHTS
+BANDS = LEVELS + N_LEVELS
+EDGES = BANDS + N_DISTANCES * N_BANDS
+N_SQUARES = EDGES + 2 * N_HEIGHTS
+"""Where the parts of the profile begin, and the number of square roots in it."""
+N_PROFILE_VALUES = N_SQUARES + 3 * len(EXTENT_PERCENTILES) + 3
 """Length of a profile."""
 FLOOR_SEEN = N_PROFILE_VALUES - 2
 """Index of the value that says whether the floor is seen."""
+SURFACE_SHARE = N_PROFILE_VALUES - 1
+"""Index of the share of pixels with a surface."""
 
 
 def measure_profile(cloud: LevelledCloud) -> Floats:
@@ -49,58 +56,64 @@ def measure_profile(cloud: LevelledCloud) -> Floats:
     percentiles of the points' x, y and z in metres; the camera's height in metres, whether the
     floor is seen (0 or 1), and the share of pixels with a surface.
     """
-    points, normals = cloud.grid_points, cloud.grid_normals
-    surface = normals.any(axis=-1)
-    p, n = points[surface], normals[surface]
-    heights_m = cloud.camera_height_m - p[:, 1]
-    ranges_m = np.sqrt(np.einsum("ij,ij->i", p, p))
-    slant = np.abs(np.einsum("ij,ij->i", p, n)) / np.maximum(ranges_m, 1e-6)
-    areas = (ranges_m * np.float32(cloud.pixel_rad)) ** 2 / np.maximum(slant, MIN_SLANT_COSINE)
-    row = _bins(heights_m, HEIGHT_STEP_M, N_HEIGHTS)
-    tilt = np.digitize(-n[:, 1], TILT_EDGES)
-    curved = _curved(normals)[surface]
-    level = tilt == N_TILTS - 1
-    band = _bins(heights_m, BAND_STEP_M, N_BANDS)
-    distance = _bins(np.hypot(p[:, 0], p[:, 2]), DISTANCE_STEP_M, N_DISTANCES)
-    squares = np.concatenate(
-        [
-            _sum(tilt * N_HEIGHTS + row, areas, N_TILTS * N_HEIGHTS),
-            _sum(row[curved], areas[curved], N_HEIGHTS),
-            _sum(_bins(heights_m[level], LEVEL_STEP_M, N_LEVELS), areas[level], N_LEVELS),
-            _sum(distance * N_BANDS + band, areas, N_DISTANCES * N_BANDS),
-            _edge_lengths(cloud, points[:, 1:], points[:, :-1]),
-            _edge_lengths(cloud, points[1:], points[:-1]),
-        ]
+    points = cloud.grid_points
+    squares, n_surface = _measure(
+        points, cloud.grid_normals, np.float32(cloud.camera_height_m), np.float32(cloud.pixel_rad)
     )
-    known = points[..., 2] != 0.0
+    known = points[points[..., 2] != 0.0]
     extent = np.zeros((len(EXTENT_PERCENTILES), 3))
-    if known.any():
-        extent = np.percentile(points[known], EXTENT_PERCENTILES, axis=0)
-    state = (cloud.camera_height_m, float(cloud.floor_seen), surface.mean())
+    if len(known):
+        extent = np.percentile(known, EXTENT_PERCENTILES, axis=0)
+    share = n_surface / (points.shape[0] * points.shape[1])
+    state = (cloud.camera_height_m, float(cloud.floor_seen), share)
     return np.concatenate([np.sqrt(squares), extent.ravel(), state]).astype(np.float32)
 
 
-def _bins(values: Floats, step: float, n: int) -> NDArray[np.int32]:
-    """Return the index of each value's bin, of n equal bins from 0; outliers go to the ends."""
-    return np.clip((values / np.float32(step)).astype(np.int32), 0, n - 1)
+def compile_profile() -> None:
+    """Compile what measures profiles, or load it: the first call would take a second or more."""
+    nothing = np.zeros((1, 1, 3), np.float32)
+    _measure(nothing, nothing, np.float32(1.0), np.float32(1.0))
 
 
-def _sum(index: NDArray[np.integer], weights: Floats, n: int) -> Array:
-    return np.bincount(index, weights, minlength=n).astype(np.float64)
+@compiled
+def _measure(
+    points: Floats, normals: Floats, camera_height_m: np.float32, pixel_rad: np.float32
+) -> tuple[Array, int]:
+    """Return what the profile's square roots are taken of, and the number of pixels with a surface.
 
-
-def _curved(normals: Floats) -> NDArray[np.bool_]:
-    """Return a mask (h, w) of the normals (h, w, 3) that differ from the one up and left."""
-    curved = np.zeros(normals.shape[:2], bool)
-    cosine = np.einsum("hwi,hwi->hw", normals[1:, 1:], normals[:-1, :-1])
-    curved[1:, 1:] = cosine < 1.0 - MIN_CURVATURE
-    return curved
-
-
-def _edge_lengths(cloud: LevelledCloud, a: Floats, b: Floats) -> Array:
-    """Return the length of depth edges between neighbours a and b (h, w, 3) by height."""
-    range_a, range_b = np.linalg.norm(a, axis=-1), np.linalg.norm(b, axis=-1)
-    is_step = np.abs(range_a - range_b) > EDGE_M + EDGE_SHARE * range_a
-    edge = (range_a > 0) & (range_b > 0) & is_step
-    row = _bins(cloud.camera_height_m - a[edge][:, 1], HEIGHT_STEP_M, N_HEIGHTS)
-    return _sum(row, range_a[edge] * np.float32(cloud.pixel_rad), N_HEIGHTS)
+    ``points`` and ``normals`` are (h, w, 3), zero where unknown.
+    """
+    sums, n_surface = np.zeros(N_SQUARES), 0
+    for i in range(points.shape[0]):
+        for j in range(points.shape[1]):
+            x, y, z = points[i, j]
+            nx, ny, nz = normals[i, j]
+            range_m = np.sqrt(x * x + y * y + z * z)
+            height_m = camera_height_m - y
+            row = min(max(int(height_m / HEIGHT_STEP_M), 0), N_HEIGHTS - 1)
+            for k in range(2):  # the pixels to the left, and above
+                if range_m > 0.0 and (j if k == 0 else i) > 0:
+                    u, v, w = points[i - k, j - 1 + k]
+                    other_m = np.sqrt(u * u + v * v + w * w)
+                    is_step = abs(range_m - other_m) > EDGE_M + EDGE_SHARE * range_m
+                    if other_m > 0.0 and is_step:
+                        sums[EDGES + k * N_HEIGHTS + row] += range_m * pixel_rad
+            if nx == 0.0 and ny == 0.0 and nz == 0.0:
+                continue
+            n_surface += 1
+            slant = abs(x * nx + y * ny + z * nz) / max(range_m, 1e-6)
+            area = (range_m * pixel_rad) ** 2 / max(slant, MIN_SLANT_COSINE)
+            tilt = 0
+            for edge in TILT_EDGES:
+                tilt += -ny >= edge
+            sums[tilt * N_HEIGHTS + row] += area
+            if i > 0 and j > 0:
+                u, v, w = normals[i - 1, j - 1]
+                if nx * u + ny * v + nz * w < 1.0 - MIN_CURVATURE:
+                    sums[CURVED + row] += area
+            if tilt == N_TILTS - 1:
+                sums[LEVELS + min(max(int(height_m / LEVEL_STEP_M), 0), N_LEVELS - 1)] += area
+            far = min(int(np.sqrt(x * x + z * z) / DISTANCE_STEP_M), N_DISTANCES - 1)
+            band = min(max(int(height_m / BAND_STEP_M), 0), N_BANDS - 1)
+            sums[BANDS + far * N_BANDS + band] += area
+    return sums, n_surface

@@ -25,6 +25,7 @@ from slam_bof.types import Array, Params, Scene
 
 __all__ = [
     "UNKNOWN_LABEL",
+    "LabelledBy",
     "SceneFilter",
     "SceneFilterParams",
     "change_probability",
@@ -33,6 +34,7 @@ __all__ = [
     "weighted_log_likelihood",
 ]
 
+LabelledBy = Literal["levelled", "bag", "constellation"]
 UNKNOWN_LABEL = "unknown"
 """The label of a keyframe whose most probable scene is not probable enough."""
 MIN_PROBABILITY = 1e-6
@@ -42,10 +44,11 @@ MIN_PROBABILITY = 1e-6
 class SceneFilterParams(Params):
     """What labels keyframes, and the hidden Markov model of their labels."""
 
-    by: Literal["levelled", "bag"] = Field(
+    by: LabelledBy = Field(
         "levelled",
         description="Classifier of keyframes: levelled for features of the levelled view (if the "
-        "model has them, else bag), bag for the bag of words of the frame, as in the paper.",
+        "model has them, else bag), bag for the bag of words of the frame, as in the paper, and "
+        "constellation for a set transformer on the frame's BOFs, if the model has one.",
     )
     mean_stay_s: float = Field(
         60.0, gt=0, description="Mean time that the camera stays in a room, in seconds."

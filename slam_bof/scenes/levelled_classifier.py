@@ -8,18 +8,26 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
-from scipy.special import log_softmax, softmax
+from scipy.special import softmax
 
 from slam_bof.bof import Vocabulary
+from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.continued_training import continue_network
-from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, measure_profile
-from slam_bof.scenes.levelled_cloud import levelled_cloud
-from slam_bof.scenes.mlp_ensemble import TEMPERATURES, MlpEnsemble
+from slam_bof.scenes.contour_tokens import contour_tokens
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
+from slam_bof.scenes.levelled_cloud import LevelledCloud, levelled_cloud
+from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
-__all__ = ["LevelledClassifier", "LevelledFeatures", "levelled_features", "room_network"]
+__all__ = [
+    "LevelledClassifier",
+    "LevelledFeatures",
+    "levelled_features",
+    "room_network",
+    "sample_weights",
+    "with_copies",
+]
 
 MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
 """Least numbers that a model may divide by."""
@@ -27,8 +35,6 @@ MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
 N_WORDS = 400
 MAX_SHAPES = 40_000
 """The vocabulary is learnt from at most this many shapes, drawn at random."""
-MAX_WARMING = 4.0
-"""Largest ``assumed_floor_warming``."""
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
 
 
@@ -38,43 +44,62 @@ class LevelledFeatures:
 
     ``profile`` (N_PROFILE_VALUES,) is the height profile, ``shapes`` (C, N_SHAPE_VALUES) has a
     descriptor of each contour. ``otherwise`` are the features if the floor is where it may be
-    instead (``LevelledCloud.possible_height_m``).
+    instead (``LevelledCloud.possible_height_m``). ``tokens`` (C, N_TOKEN_VALUES) are for a
+    classifier of constellations; None where there is none.
     """
 
     profile: NDArray[np.float32]
     shapes: NDArray[np.float32]
     otherwise: LevelledFeatures | None = None
+    tokens: NDArray[np.float32] | None = None
 
 
 def levelled_features(
-    frame: DepthFrame, *, gravity_camera: Array | None = None
+    frame: DepthFrame,
+    *,
+    gravity_camera: Array | None = None,
+    with_shapes: bool = True,
+    with_tokens: bool = False,
 ) -> LevelledFeatures:
-    """Return the features of a frame; parameters are those of ``levelled_cloud``."""
+    """Return the features of a frame; other parameters are those of ``levelled_cloud``.
+
+    Without shapes there are none, and the features cost less than half.
+    """
     cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
+
+    def describe(cloud: LevelledCloud) -> LevelledFeatures:
+        none = np.empty((0, N_SHAPE_VALUES), np.float32)
+        return LevelledFeatures(
+            measure_profile(cloud), shape_descriptors(cloud) if with_shapes else none
+        )
+
     otherwise = None
     if cloud.possible_height_m is not None:
         near = replace(cloud, camera_height_m=cloud.possible_height_m, floor_seen=True)
-        otherwise = LevelledFeatures(measure_profile(near), shape_descriptors(near))
-    return LevelledFeatures(measure_profile(cloud), shape_descriptors(cloud), otherwise)
+        otherwise = describe(near)
+    tokens = contour_tokens(cloud) if with_tokens else None
+    return replace(describe(cloud), otherwise=otherwise, tokens=tokens)
 
 
 def room_network(seed: int = 0) -> MlpEnsemble:
     """Return a network, not fitted yet, for a few hundred images of many rooms."""
-    return MlpEnsemble(n_hidden=64, n_networks=4, n_steps=600, n_components=160, seed=seed)
+    return MlpEnsemble(
+        n_hidden=64, n_networks=4, n_steps=600, n_folds=5, n_components=160, seed=seed
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class LevelledClassifier:
-    """A ``Labeller`` by levelled features: a vocabulary of shapes, and a network on all of them.
+    """A ``Labeller`` by levelled features: a network on them, and a vocabulary of shapes, if any.
 
-    The network's input is the height profile and the histogram of shape words. Where no floor is
-    seen, heights above it are assumed; the network's temperature is then multiplied by
-    ``assumed_floor_warming``, so that the label is less certain.
+    The network's input is the height profile and, with a vocabulary, the histogram of shape words.
+    The temperature of
+    its logits is multiplied by the factor of ``warming`` for the view.
     """
 
-    vocabulary: Vocabulary
+    vocabulary: Vocabulary | None
     network: MlpEnsemble
-    assumed_floor_warming: float = 1.0
+    warming: Warming = NO_WARMING
 
     @classmethod
     def fit(
@@ -104,7 +129,7 @@ class LevelledClassifier:
         groups, n_groups
             As in ``MlpEnsemble.fit``.
         n_words
-            Number of shape words; fewer where there are fewer shapes.
+            Number of shape words; fewer where there are fewer shapes, and 0 for none.
         network
             The network to fit, by default ``MlpEnsemble`` with its default parameters.
         copies
@@ -121,13 +146,7 @@ class LevelledClassifier:
         seed
             Seed of the vocabulary and of the default network.
         """
-        shapes = np.concatenate([item.shapes for item in features])
-        if len(shapes) == 0:
-            shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
-        if len(shapes) > MAX_SHAPES:
-            rng = np.random.default_rng(seed)
-            shapes = shapes[np.sort(rng.permutation(len(shapes))[:MAX_SHAPES])]
-        vocabulary = Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
+        vocabulary = _learn_words(features, n_words, seed) if n_words else None
         classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
         vectors, frame_of = classifier._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
@@ -137,7 +156,7 @@ class LevelledClassifier:
             y,
             None if groups is None else np.asarray(groups)[frame_of],
             n_groups=n_groups,
-            weights=None if weights is None else _balanced(weights, y, frame_of),
+            weights=None if weights is None else sample_weights(weights, y, frame_of),
             calibrate_on=counted[frame_of] & (np.arange(len(y)) < len(features)),
         )
         if weights is None or groups is None:
@@ -149,14 +168,11 @@ class LevelledClassifier:
             vectors, _ = classifier._feature_vectors(unknown, ())
             logits = np.concatenate([logits, network.logits(vectors)])
             weight = np.concatenate([weight, of_unknown])
-        assumed = [
-            _assumes_floor(item) for item in (*(features[k] for k in of_frames.tolist()), *unknown)
-        ]
-        temperature, warming = fit_certainty(
-            logits, np.searchsorted(network.classes_, y[of_frames]), np.array(assumed), weight
+        profiles = [item.profile for item in (*(features[k] for k in of_frames.tolist()), *unknown)]
+        network.temperature_, warming = fit_certainty(
+            logits, np.searchsorted(network.classes_, y[of_frames]), np.array(profiles), weight
         )
-        network.temperature_ = temperature
-        return replace(classifier, assumed_floor_warming=warming)
+        return replace(classifier, warming=warming)
 
     def continue_training(
         self,
@@ -171,27 +187,28 @@ class LevelledClassifier:
         """
         vectors, frame_of = self._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
-        weights = _balanced(np.ones(len(features)), y, frame_of)
+        weights = sample_weights(np.ones(len(features)), y, frame_of)
         return replace(self, network=continue_network(self.network, vectors, y, weights))
 
     def manifest(self) -> dict[str, Any]:
         """Return the parameters and classes, as a model file's manifest holds them."""
-        vocabulary = self.vocabulary.get_params()
-        del vocabulary["n_words"]  # known from the words
         classes = [str(label) for label in self.network.classes_]
         network = self.network.get_params()
         if network["n_components"] is None:
             del network["n_components"]  # as in files older than this parameter
-        return {"vocabulary": vocabulary, "network": network, "classes": classes}
+        found = {"network": network, "classes": classes}
+        if self.vocabulary is None:
+            return found
+        vocabulary = self.vocabulary.get_params()
+        del vocabulary["n_words"]  # known from the words
+        return {"vocabulary": vocabulary, **found}
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the arrays that were learnt, by name."""
         learnt = {name: getattr(self.network, f"{name}_") for name in NETWORK_ARRAYS}
         temperature = np.array(self.network.temperature_)
-        arrays = {"words": self.vocabulary.words_, "temperature": temperature, **learnt}
-        if self.assumed_floor_warming != 1.0:  # absent in older files
-            arrays["assumed_floor_warming"] = np.array(self.assumed_floor_warming)
-        return arrays
+        words = {} if self.vocabulary is None else {"words": self.vocabulary.words_}
+        return {**words, "temperature": temperature, **learnt, **self.warming.arrays()}
 
     @classmethod
     def from_arrays(cls, manifest: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -202,11 +219,13 @@ class LevelledClassifier:
         KeyError, TypeError, ValueError
             If something is missing or unknown, or shapes do not fit each other.
         """
-        words, classes = arrays["words"], np.array(manifest["classes"])
+        classes = np.array(manifest["classes"])
+        words = np.empty((0, N_SHAPE_VALUES), np.float32)
+        if "vocabulary" in manifest:
+            words = arrays["words"]
         network = MlpEnsemble(**manifest["network"])
         n_features, n_neurons = N_PROFILE_VALUES + len(words), network.n_networks * network.n_hidden
         shapes = {
-            "words": (len(words), N_SHAPE_VALUES),
             "temperature": (),
             "mean": (n_features,),
             "scale": (n_features,),
@@ -215,7 +234,8 @@ class LevelledClassifier:
             "out": (n_neurons, len(classes)),
             "out_bias": (len(classes),),
         }
-        warming = arrays.get("assumed_floor_warming", np.array(1.0))
+        if words.shape[1:] != (N_SHAPE_VALUES,):
+            raise ValueError(f"levels/words must be (N, {N_SHAPE_VALUES}), got {words.shape}")
         for name, shape in shapes.items():
             if arrays[name].shape != shape:
                 raise ValueError(f"levels/{name} must be {shape}, got {arrays[name].shape}")
@@ -224,26 +244,26 @@ class LevelledClassifier:
         for name, least in (("scale", MIN_SCALE), ("temperature", MIN_TEMPERATURE)):
             if (found := float(arrays[name].min())) < least:
                 raise ValueError(f"levels/{name}: found {found:g}, expected {least:g} or more")
-        if warming.shape != () or not 1.0 <= warming <= MAX_WARMING:
-            raise ValueError(f"levels/assumed_floor_warming must be a number, 1 to {MAX_WARMING:g}")
         for name in NETWORK_ARRAYS:
             setattr(network, f"{name}_", arrays[name])
         network.classes_, network.n_features_in_ = classes, n_features
         network.temperature_ = float(arrays["temperature"])
-        vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
-        return cls(vocabulary, network, float(warming))
+        vocabulary = None
+        if "vocabulary" in manifest:
+            vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
+        return cls(vocabulary, network, Warming.from_arrays(arrays))
 
     def _feature_vectors(
         self, features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
     ) -> tuple[NDArray[np.float32], NDArray[np.intp]]:
         """Return the network's inputs (M, D) for frames and copies, and the frame of each (M,)."""
-        everything = [*features, *(item for items in copies for item in items)]
-        of_copies = [k for k, items in enumerate(copies) for _ in items]
-        frame_of = np.array([*range(len(features)), *of_copies])
+        everything, frame_of = with_copies(features, copies)
         return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
-        """Return the network's input: the profile, and the square roots of word frequencies."""
+        """Return the network's input: the profile, and square roots of word frequencies, if any."""
+        if self.vocabulary is None:
+            return features.profile
         words = self.vocabulary.lookup(features.shapes)
         counts = np.bincount(words, minlength=self.vocabulary.n_words)
         frequencies = counts / max(len(words), 1)
@@ -253,7 +273,10 @@ class LevelledClassifier:
         self, frame: DepthFrame, *, gravity_camera: Array | None = None, bag: Bag | None = None
     ) -> Scene:
         """Return the scene that a frame shows; the bag is not used."""
-        return self.label_features(levelled_features(frame, gravity_camera=gravity_camera))
+        with_shapes = self.vocabulary is not None
+        return self.label_features(
+            levelled_features(frame, gravity_camera=gravity_camera, with_shapes=with_shapes)
+        )
 
     def label_features(self, features: LevelledFeatures) -> Scene:
         """Return the scene by the features of a frame; the mean over both heights, if two may be.
@@ -268,59 +291,33 @@ class LevelledClassifier:
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
 
     def _probabilities(self, features: LevelledFeatures) -> Array:
-        vector = self.feature_vector(features)[None]
-        temperature = self.network.temperature_
-        if _assumes_floor(features):
-            temperature *= self.assumed_floor_warming
-        return np.asarray(softmax(self.network.logits(vector)[0].astype(np.float64) / temperature))
+        logits = self.network.logits(self.feature_vector(features)[None])[0].astype(np.float64)
+        factor = self.warming.factors(features.profile[None])[0]
+        return np.asarray(softmax(logits / (self.network.temperature_ * factor)))
 
 
-def _balanced(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -> Array:
+def _learn_words(features: Sequence[LevelledFeatures], n_words: int, seed: int) -> Vocabulary:
+    shapes = np.concatenate([item.shapes for item in features])
+    if len(shapes) == 0:
+        shapes = np.zeros((1, features[0].shapes.shape[1]), np.float32)
+    if len(shapes) > MAX_SHAPES:
+        rng = np.random.default_rng(seed)
+        shapes = shapes[np.sort(rng.permutation(len(shapes))[:MAX_SHAPES])]
+    return Vocabulary(n_words=min(n_words, len(shapes)), seed=seed).fit(shapes)
+
+
+def with_copies(
+    features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
+) -> tuple[list[LevelledFeatures], NDArray[np.intp]]:
+    """Return the features of frames, then of their copies, and the frame of each (M,)."""
+    of_copies = [k for k, items in enumerate(copies) for _ in items]
+    everything = [*features, *(item for items in copies for item in items)]
+    return everything, np.array([*range(len(features)), *of_copies])
+
+
+def sample_weights(weights: ArrayLike, y: NDArray[Any], frame_of: NDArray[np.intp]) -> Array:
     """Return the weight of each sample, divided by the root of its class's sum of weights."""
     weight = np.asarray(weights, np.float64)[frame_of]
     _, index = np.unique(y, return_inverse=True)
     weight /= np.sqrt(np.bincount(index, weight))[index]
     return np.asarray(weight * len(weight) / weight.sum())
-
-
-def _assumes_floor(features: LevelledFeatures) -> bool:
-    """Return whether the features have a height profile, of a frame that does not show the floor.
-
-    Comparisons leave it out.
-    """
-    profile = features.profile
-    return len(profile) == N_PROFILE_VALUES and not profile[FLOOR_SEEN]
-
-
-def fit_certainty(
-    logits: NDArray[np.float32],
-    index: NDArray[np.intp],
-    assumed_floor: NDArray[np.bool_],
-    weight: Array,
-) -> tuple[float, float]:
-    """Return the temperature, and its factor where the floor is assumed, at least 1.
-
-    They minimise the cross entropy with the true classes, and with equal probabilities for all
-    classes where a frame shows none of them.
-
-    Parameters
-    ----------
-    logits
-        (N, C) of frames held out from training.
-    index
-        (M,) true classes of the first M of them; the others show no class.
-    assumed_floor, weight
-        (N,) whether the floor was not seen, and the weight of each.
-    """
-    targets = np.full(logits.shape, 1.0 / logits.shape[1])
-    targets[: len(index)] = np.eye(logits.shape[1])[index]
-
-    def cross_entropy(parameters: Array) -> float:
-        temperature = np.exp(parameters[0] + parameters[1] * assumed_floor)
-        logs = log_softmax(logits.astype(np.float64) / temperature[:, None], axis=1)
-        return -float(weight @ (targets * logs).sum(axis=1)) / float(weight.sum())
-
-    bounds = [tuple(np.log(TEMPERATURES)), (0.0, np.log(MAX_WARMING))]
-    best = minimize(cross_entropy, np.array([0.3, 0.1]), bounds=bounds, method="L-BFGS-B").x
-    temperature, warming = np.exp(best)
-    return float(temperature), float(warming)

@@ -2,7 +2,8 @@
 
 The file is a zip: ``manifest.json`` (format version, parameters, what it was trained on, and
 the SHA-256 of all the content), ``words.npy``, ``idf.npy``, ``scenes.skops`` for a classifier of
-bags, and ``levels/*.npy`` for a levelled classifier. Nothing is pickled, and loading creates
+bags, ``levels/*.npy`` for a levelled classifier, and ``constellation/*.npy`` for one of
+constellations. Nothing is pickled, and loading creates
 objects of the types named here only. The same training writes the same bytes.
 """
 
@@ -20,7 +21,7 @@ from functools import cached_property
 from importlib import metadata, resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,9 @@ from slam_bof.bof import PlaceDescriber, PlaceParams, TfIdf, Vocabulary
 from slam_bof.core import parse_npy, read_bytes
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
+from slam_bof.scenes.constellation_classifier import ConstellationClassifier
+from slam_bof.scenes.height_profile import compile_profile
+from slam_bof.scenes.hmm_filter import LabelledBy
 from slam_bof.scenes.labeller import BagLabeller, Labeller
 from slam_bof.scenes.levelled_classifier import LevelledClassifier
 from slam_bof.scenes.stored_classifier import (
@@ -69,11 +73,14 @@ DEFAULT = "default"
 INCLUDED = (DEFAULT, "synthetic")
 """Names of the models that come with slam_bof: one learnt from real and synthetic rooms, one from
 synthetic rooms only, which was the default before."""
-SUPERSEDED = ("9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356",)
+SUPERSEDED = (
+    "9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356",
+    "16bb13fe419f3da0b40af09d1c1f9ae2841cf9bb2009f2b8f0ab41c77f08b09d",
+)
 """Content hashes of earlier default models that are included no more. That of today has the same
 words, idf and classes as they have."""
-LEVELLED_ENTRIES = "levels/"
-"""Prefix of the arrays of the levelled classifier."""
+LEVELLED, CONSTELLATION = "levels", "constellation"
+"""Keys of classifiers in the manifest, and folders of their arrays."""
 MAX_WEIGHT = 1e6
 """Largest number in an array: sums of products must stay within 32 bits."""
 
@@ -85,8 +92,9 @@ class Model:
     """All that describing and labelling a frame needs.
 
     ``trained_on`` says in words which frames it was trained on. ``bag_classifier`` labels bags of
-    words, as in the paper; ``levelled_classifier`` labels frames by levelled features. Either is
-    None where the frames had no labels or it was not asked for.
+    words, as in the paper; ``levelled_classifier`` labels frames by levelled features, and
+    ``constellation_classifier`` by a set transformer on their BOFs. Any is None where the frames
+    had no labels or it was not asked for.
     """
 
     places: PlaceParams
@@ -95,32 +103,38 @@ class Model:
     bag_classifier: SceneClassifier | None
     trained_on: str
     levelled_classifier: LevelledClassifier | None = None
+    constellation_classifier: ConstellationClassifier | None = None
 
     def describer(self) -> PlaceDescriber:
         """Return the describer that makes bags of words of frames."""
         return PlaceDescriber(self.places, self.vocabulary, self.tf_idf)
 
-    def labeller(self, by: Literal["levelled", "bag"] = "levelled") -> Labeller | None:
+    def labeller(self, by: LabelledBy = "levelled") -> Labeller | None:
         """Return the labeller of frames; None where the model was trained without labels.
 
         Parameters
         ----------
         by
-            ``levelled`` prefers the levelled classifier, ``bag`` takes that of bags.
+            ``levelled`` prefers the levelled classifier, ``bag`` takes that of bags, and
+            ``constellation`` that of constellations.
 
         Raises
         ------
         ModelError
-            If bags are asked for, and only the levelled classifier was trained.
+            If the classifier asked for was not trained, but another.
         """
+        if by != "bag":
+            compile_profile()
+        if by == "constellation" and self.constellation_classifier is not None:
+            return self.constellation_classifier
         if self.levelled_classifier is not None and by == "levelled":
             return self.levelled_classifier
-        if self.bag_classifier is not None:
+        if self.bag_classifier is not None and by != "constellation":
             return BagLabeller(self.describer(), self.bag_classifier)
-        if self.levelled_classifier is not None:
+        if self.levelled_classifier is not None or self.bag_classifier is not None:
             raise ModelError(
-                f"the model ({self.trained_on}): found no classifier of bags, expected one to "
-                "label by bags"
+                f"the model ({self.trained_on}): found no classifier of {by}s, expected one to "
+                f"label by {by}s"
             )
         return None
 
@@ -265,7 +279,16 @@ def _build(manifest: dict[str, Any], entries: Entries) -> Model:
         ),
         trained_on=manifest["trained_on"],
         levelled_classifier=(
-            _load_levelled(manifest["levels"], entries) if manifest.get("levels") else None
+            LevelledClassifier.from_arrays(manifest[LEVELLED], _arrays(entries, LEVELLED))
+            if manifest.get(LEVELLED)
+            else None
+        ),
+        constellation_classifier=(
+            ConstellationClassifier.from_arrays(
+                manifest[CONSTELLATION], _arrays(entries, CONSTELLATION)
+            )
+            if manifest.get(CONSTELLATION)
+            else None
         ),
     )
 
@@ -274,7 +297,7 @@ def _content_manifest(model: Model) -> dict[str, Any]:
     """Return the part of the manifest that the content hash covers."""
     vocabulary = model.vocabulary.get_params()
     del vocabulary["n_words"]  # known from the words
-    bag_classifier, levelled_classifier = model.bag_classifier, model.levelled_classifier
+    bag_classifier = model.bag_classifier
     content = {
         "format": FORMAT,
         "format_version": FORMAT_VERSION,
@@ -283,8 +306,8 @@ def _content_manifest(model: Model) -> dict[str, Any]:
         "vocabulary": vocabulary,
         "classes": [str(label) for label in bag_classifier.classes_] if bag_classifier else [],
     }
-    # Without a levelled classifier the key is absent, as in files older than it.
-    return content | ({"levels": levelled_classifier.manifest()} if levelled_classifier else {})
+    # Without a classifier its key is absent, as in files older than it.
+    return content | {key: found.manifest() for key, found in _classifiers(model).items()}
 
 
 def _entries(model: Model) -> Entries:
@@ -294,19 +317,24 @@ def _entries(model: Model) -> Entries:
     }
     if model.bag_classifier is not None:
         entries["scenes.skops"] = classifier_bytes(model.bag_classifier)
-    if model.levelled_classifier is not None:
-        for name, array in model.levelled_classifier.arrays().items():
-            entries[f"{LEVELLED_ENTRIES}{name}.npy"] = _array_bytes(array)
+    for key, classifier in _classifiers(model).items():
+        for name, array in classifier.arrays().items():
+            entries[f"{key}/{name}.npy"] = _array_bytes(array)
     return entries
 
 
-def _load_levelled(manifest: dict[str, Any], entries: Entries) -> LevelledClassifier:
-    arrays = {
-        name.removeprefix(LEVELLED_ENTRIES).removesuffix(".npy"): _array(entries, name)
+def _classifiers(model: Model) -> dict[str, LevelledClassifier | ConstellationClassifier]:
+    """Return the classifiers of arrays that a model has, by their keys."""
+    found = {LEVELLED: model.levelled_classifier, CONSTELLATION: model.constellation_classifier}
+    return {key: classifier for key, classifier in found.items() if classifier is not None}
+
+
+def _arrays(entries: Entries, key: str) -> dict[str, NDArray[Any]]:
+    return {
+        name.removeprefix(f"{key}/").removesuffix(".npy"): _array(entries, name)
         for name in entries
-        if name.startswith(LEVELLED_ENTRIES)
+        if name.startswith(f"{key}/")
     }
-    return LevelledClassifier.from_arrays(manifest, arrays)
 
 
 def _array(entries: Entries, name: str) -> NDArray[Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from slam_bof.datasets import read_depth_image
 from slam_bof.errors import ModelError
-from slam_bof.scenes.hmm_filter import most_probable_scene
+from slam_bof.scenes.hmm_filter import LabelledBy, most_probable_scene
 from slam_bof.scenes.model import Model
 from slam_bof.types import DepthFrame, Intrinsics
 
@@ -62,13 +62,19 @@ def label_image(
 
 
 def label_frame(
-    frame: DepthFrame, model: Model, *, name: str, source: str, min_probability: float = 0.0
+    frame: DepthFrame,
+    model: Model,
+    *,
+    name: str,
+    source: str,
+    min_probability: float = 0.0,
+    by: LabelledBy = "levelled",
 ) -> ImageLabel:
     """Label a depth frame; ``name`` and ``source`` say where it and its intrinsics are from.
 
-    Other parameters are those of ``label_image``.
+    ``by`` is that of ``Model.labeller``. Other parameters are those of ``label_image``.
     """
-    labeller = model.labeller()
+    labeller = model.labeller(by)
     if labeller is None:
         raise ModelError(f"the model ({model.trained_on}): found no labels, expected some")
     scene = labeller.label(frame)

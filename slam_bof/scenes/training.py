@@ -16,6 +16,7 @@ from slam_bof.core import one_blas_thread
 from slam_bof.errors import ModelError
 from slam_bof.scenes.augmentation import remeasure
 from slam_bof.scenes.bag_classifier import SceneClassifier
+from slam_bof.scenes.constellation_classifier import ConstellationClassifier
 from slam_bof.scenes.folds import cut_segments
 from slam_bof.scenes.levelled_classifier import (
     LevelledClassifier,
@@ -24,6 +25,7 @@ from slam_bof.scenes.levelled_classifier import (
     room_network,
 )
 from slam_bof.scenes.model import Model
+from slam_bof.scenes.set_transformer_training import TransformerTraining
 from slam_bof.types import Array, DepthFrame
 
 __all__ = [
@@ -139,12 +141,15 @@ def describe_frames(
     params: PlaceParams,
     *,
     levelled: bool = False,
+    with_tokens: bool = False,
     n_copies: int = 0,
     seed: int = 0,
     n_jobs: int | None = 1,
     on_frame: Callable[[int], None] | None = None,
 ) -> FrameDescriptors:
     """Return the BOF descriptors of frames, and their levelled features where ``levelled``.
+
+    ``with_tokens`` adds the tokens of a constellation classifier to these.
 
     With ``n_copies`` there are levelled features of as many copies of each frame too, as other
     sensors, drawn by ``seed``, would have measured it. ``n_jobs`` frames are described at a time,
@@ -168,7 +173,9 @@ def describe_frames(
             are_rooms &= item.is_room
             views = [(item.frame, item.gravity_camera)]
             views += [remeasure(item.frame, rng, item.gravity_camera) for _ in range(n_copies)]
-            yield joblib.delayed(_describe_frame)(views, params, levelled)
+            yield joblib.delayed(_describe_frame)(
+                views, params, levelled=levelled, with_tokens=with_tokens
+            )
 
     described = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs())
     for n_done, (of_frame, of_views) in enumerate(described, start=1):
@@ -191,13 +198,21 @@ def describe_frames(
 
 @one_blas_thread()
 def _describe_frame(
-    views: Sequence[tuple[DepthFrame, Array | None]], params: PlaceParams, levelled: bool
+    views: Sequence[tuple[DepthFrame, Array | None]],
+    params: PlaceParams,
+    *,
+    levelled: bool,
+    with_tokens: bool,
 ) -> tuple[NDArray[np.float32], tuple[LevelledFeatures, ...]]:
     """Return the BOF descriptors of a frame, and the levelled features of it and its copies."""
     frame, gravity_camera = views[0]
     return (
         descriptors(frame, params, gravity_camera=gravity_camera),
-        tuple(levelled_features(view, gravity_camera=down) for view, down in views if levelled),
+        tuple(
+            levelled_features(view, gravity_camera=down, with_tokens=with_tokens)
+            for view, down in views
+            if levelled
+        ),
     )
 
 
@@ -209,15 +224,19 @@ def fit_model(
     seed: int = 0,
     trained_on: str,
     bag_classifier: SceneClassifier | None = None,
+    constellation: bool = False,
 ) -> Model:
     """Fit vocabulary, idf and scene classifiers to descriptors.
 
-    Probabilities are calibrated on sequences (groups) held out from training, or on segments of
-    sequences where few sequences show a class (``cut_segments``). Parameters are those of
-    ``train_model``.
+    With ``constellation``, which needs PyTorch and features with tokens, a classifier of
+    constellations is among them. Probabilities are calibrated on sequences (groups) held out from
+    training, or on segments of sequences where few sequences show a class (``cut_segments``).
+    Parameters are those of ``train_model``.
 
     Raises
     ------
+    PluginError
+        If PyTorch is needed and not installed.
     ValueError
         If there are fewer descriptors than words.
     """
@@ -227,7 +246,7 @@ def fit_model(
     tf_idf = TfIdf().fit(counts)
     labelled = np.array([label is not None for label in described.labels])
     labels = np.array([label for label in described.labels if label is not None])
-    fitted_classifier = levelled_classifier = None
+    fitted_classifier = levelled_classifier = constellation_classifier = None
     if len(set(labels.tolist())) > 1:
         bags = tf_idf.transform(counts)[labelled]
         sequences = list(compress(described.groups, labelled))
@@ -246,6 +265,14 @@ def fit_model(
                 network=room_network(seed) if described.are_rooms else None,
                 seed=seed,
             )
+        if constellation:
+            constellation_classifier = ConstellationClassifier.fit(
+                list(compress(described.levelled, labelled)),
+                labels.tolist(),
+                groups,
+                copies=list(compress(described.copies, labelled)),
+                training=TransformerTraining(seed=seed),
+            )
     return Model(
         places=params,
         vocabulary=vocabulary,
@@ -253,14 +280,15 @@ def fit_model(
         bag_classifier=fitted_classifier,
         trained_on=trained_on,
         levelled_classifier=levelled_classifier,
+        constellation_classifier=constellation_classifier,
     )
 
 
 def continue_model(model: Model, described: FrameDescriptors, *, trained_on: str) -> Model:
     """Continue the training of a model's levelled classifier with labelled frames.
 
-    Words and idf stay. There is no classifier of bags in what results: a support vector machine
-    cannot be continued without the frames that it was trained with.
+    Words and idf stay. There is no classifier of bags or constellations in what results: they
+    cannot be continued without the frames that they were trained with.
 
     Raises
     ------
@@ -282,5 +310,6 @@ def continue_model(model: Model, described: FrameDescriptors, *, trained_on: str
         model,
         bag_classifier=None,
         levelled_classifier=classifier,
+        constellation_classifier=None,
         trained_on=f"{model.trained_on}; continued with {trained_on}",
     )

@@ -129,6 +129,9 @@ def test_one_image_and_where_its_camera_is_from(two_kinds: Path, tmp_path: Path)
     assert sum(answer["probabilities"].values()) == pytest.approx(1.0)
     table = slam_bof("query", image, "--model", trained, *own).stdout
     assert "(intrinsics 146.25 146.25 80 60: as given" in table
+    by = ("query", "image", image, "--model", trained, *own, "--by")
+    assert slam_bof(*by, "bag").exit_code == 0
+    assert "found no classifier of constellations" in refusal(*by, "constellation")
 
     given = ("--intrinsics", 200, 201, 80, 60, *MILLIMETRES)
     answer = json.loads(slam_bof("query", image, "--model", trained, *given, "--json").stdout)

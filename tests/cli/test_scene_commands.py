@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -11,7 +13,7 @@ from commands import refusal, slam_bof
 from conftest import CAMERA
 from labelled_boxes import SIZES_M, write_box
 
-from slam_bof.scenes import model
+from slam_bof.scenes import model, training
 
 QUICK = ("--words", 8, "--quiet")
 BAGS = ("--descriptor", "bof")
@@ -143,7 +145,9 @@ def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path
     assert set(json.loads(answer.stdout)["probabilities"]) == set(SIZES_M)
 
 
-def test_training_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
+def test_training_explains_mistakes(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = ("-o", tmp_path / "x.bof", "--quiet")
     hall = ("--label", f"hall={boxes / 'hall'}")
     assert "found neither --label nor --csv" in refusal("train", *out)
@@ -175,7 +179,34 @@ def test_training_explains_mistakes(boxes: Path, tmp_path: Path) -> None:
     assert "--page: found without a check" in refusal(
         "train", *out, *labels(boxes), "--no-check", "--page", tmp_path
     )
+    assert "--constellation: found with" in refusal(
+        "train", *out, *labels(boxes), "--constellation", *BAGS
+    )
+    monkeypatch.setitem(sys.modules, "torch", None)
+    assert "pip install 'slam-bof[train]'" in refusal(
+        "train", *out, *labels(boxes), "--constellation"
+    )
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_set_transformer_is_trained_and_labels_a_run(
+    boxes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("torch", reason="PyTorch (extra train) is not installed")
+    quick = partial(training.TransformerTraining, n_steps=40)
+    monkeypatch.setattr(training, "TransformerTraining", quick)
+    out = tmp_path / "boxes.bof"
+    options = ("--constellation", "--no-check", *QUICK)
+    assert slam_bof("train", *labels(boxes), "-o", out, *options).exit_code == 0
+    labeller = model.load(out).labeller("constellation")
+    assert labeller is not None
+    run = ("run", boxes / "hall" / "seq-01", "--model", out, "--out", tmp_path / "runs")
+    done = slam_bof(*run, "--set", "labels.by=constellation", "--quiet", "--json")
+    assert done.exit_code == 0, done.output
+    found = slam_bof("query", "keyframes", tmp_path / "runs" / "latest" / "map.db", "--json")
+    assert json.loads(found.stdout)
+    refused = refusal(*run[:2], "--out", tmp_path / "no", "--set", "labels.by=constellation")
+    assert "found no classifier of constellations" in refused
 
 
 @pytest.mark.parametrize("protocol", ["holdout", "time-split"])

@@ -7,11 +7,13 @@ import json
 import random
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from set_transformers import random_classifier
 from test_model import train
 
 from slam_bof.errors import ModelError
@@ -28,6 +30,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name in ("svm-linear", "svm-rbf", "random-forest", "knn"):
         scenes = SceneClassifier(classifier=name, n_folds=2)
         model = train(scenes=scenes, levelled=name == "svm-linear")
+        if name == "svm-linear":
+            model = replace(model, constellation_classifier=random_classifier(("a", "b", "c")))
         models.save(model, folder / f"{name}.bof")
     return {file.stem: file for file in folder.iterdir()}
 
@@ -74,6 +78,10 @@ VALUES = [
     ("levels/hidden", -1e38),
     ("levels/out", 1e38),
     ("levels/mean", 1e30),
+    ("constellation/temperature", 0),
+    ("constellation/scales", 0),
+    ("constellation/merge_0", 1e38),
+    ("constellation/out_bias", np.nan),
     ("idf", 1e38),
     ("words", np.nan),
     ("words", np.inf),

@@ -5,9 +5,10 @@ import pytest
 from levelled_scene import empty_frame, table_frame
 
 from slam_bof.scenes import LevelledClassifier, levelled_features
-from slam_bof.scenes.height_profile import FLOOR_SEEN
-from slam_bof.scenes.levelled_classifier import fit_certainty
+from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, SURFACE_SHARE
+from slam_bof.scenes.levelled_classifier import Warming, fit_certainty
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
+from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 
 
 def frames(seed, n=24):
@@ -39,6 +40,20 @@ def test_unseen_views_are_labelled(scenes):
     assert scene.probabilities.sum() == pytest.approx(1.0)
 
 
+def test_words_can_be_left_out():
+    views = [levelled_features(frame, with_shapes=False) for frame, _ in frames(0)]
+    assert all(item.shapes.shape == (0, N_SHAPE_VALUES) for item in views)
+    network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
+    labels = [label for _, label in frames(0)]
+    fitted = LevelledClassifier.fit(views, labels, n_words=0, network=network)
+    again = LevelledClassifier.from_arrays(fitted.manifest(), fitted.arrays())
+    assert "words" not in fitted.arrays()
+    for frame, label in frames(1, n=6):
+        scene = fitted.label(frame)
+        assert scene.label == label
+        np.testing.assert_array_equal(again.label(frame).probabilities, scene.probabilities)
+
+
 def test_nothing_seen_is_labelled_too(scenes):
     assert np.isfinite(scenes.label(empty_frame()).probabilities).all()
 
@@ -62,21 +77,24 @@ def test_arrays_that_do_not_fit_are_refused(scenes, name):
         LevelledClassifier.from_arrays(scenes.manifest(), arrays)
 
 
-def test_a_label_is_less_certain_where_the_floor_is_assumed(scenes):
-    careful = replace(scenes, assumed_floor_warming=2.0)
+@pytest.mark.parametrize(
+    ("name", "value", "warming"),
+    [(FLOOR_SEEN, 0.0, Warming(assumed_floor=2.0)), (SURFACE_SHARE, 0.5, Warming(empty_view=4.0))],
+)
+def test_a_label_is_less_certain_where_a_view_says_less(scenes, name, value, warming):
+    careful = replace(scenes, warming=warming)
     seen = levelled_features(next(frames(2))[0])
-    assert seen.profile[FLOOR_SEEN] == 1.0
-    assert careful.label_features(seen).probability == scenes.label_features(seen).probability
-    unseen = replace(seen, profile=seen.profile.copy())
-    unseen.profile[FLOOR_SEEN] = 0.0
-    p, q = (c.label_features(unseen).probabilities for c in (scenes, careful))
+    whole = replace(seen, profile=seen.profile.copy())
+    whole.profile[[FLOOR_SEEN, SURFACE_SHARE]] = 1.0
+    assert careful.label_features(whole).probability == scenes.label_features(whole).probability
+    whole.profile[name] = value
+    p, q = (c.label_features(whole).probabilities for c in (scenes, careful))
     np.testing.assert_allclose(q, np.sqrt(p) / np.sqrt(p).sum())
     again = type(careful).from_arrays(careful.manifest(), careful.arrays())
-    assert again.assumed_floor_warming == 2.0
-    with pytest.raises(ValueError, match="assumed_floor_warming must be a number, 1 to 4"):
-        type(careful).from_arrays(
-            careful.manifest(), careful.arrays() | {"assumed_floor_warming": np.array(0.5)}
-        )
+    assert again.warming == warming
+    for array in set(careful.arrays()) - set(scenes.arrays()):
+        with pytest.raises(ValueError, match=rf"{array} must be a number, 1 to"):
+            type(careful).from_arrays(careful.manifest(), careful.arrays() | {array: np.array(0.5)})
 
 
 def test_both_heights_count_where_two_are_possible(scenes):
@@ -90,6 +108,12 @@ def test_both_heights_count_where_two_are_possible(scenes):
     assert near.otherwise.profile[FLOOR_SEEN - 1] == pytest.approx(0.5, abs=0.03)
 
 
+def profiles(n, floor_seen=1.0, surface_share=1.0):
+    found = np.zeros((n, N_PROFILE_VALUES))
+    found[:, FLOOR_SEEN], found[:, SURFACE_SHARE] = floor_seen, surface_share
+    return found
+
+
 def test_certainty_is_what_frames_held_out_bear():
     rng = np.random.default_rng(0)
     index, assumed = rng.integers(0, 3, 4000), np.arange(4000) % 2 == 1
@@ -97,15 +121,22 @@ def test_certainty_is_what_frames_held_out_bear():
     # Of the labels 80 % are right where the floor is seen, 50 % where it is not.
     wrong = rng.random(4000) < np.where(assumed, 0.5, 0.2)
     truth = np.where(wrong, (index + 1) % 3, index)
-    temperature, warming = fit_certainty(logits, truth, assumed, np.ones(4000))
-    for factor, share in ((1.0, 0.8), (warming, 0.5)):
+    temperature, warming = fit_certainty(logits, truth, profiles(4000, ~assumed), np.ones(4000))
+    for factor, share in ((1.0, 0.8), (warming.assumed_floor, 0.5)):
         p = np.exp(4.0 / (temperature * factor))
         assert p / (p + 2.0) == pytest.approx(share, abs=0.03)
 
 
-def test_scenes_of_no_class_lower_the_certainty():
-    logits = 4.0 * np.eye(3, dtype=np.float32)[np.arange(300) % 3]
-    seen = np.zeros(300, bool)
-    alone, _ = fit_certainty(logits[:200], np.arange(200) % 3, seen[:200], np.ones(200))
-    together, _ = fit_certainty(logits, np.arange(200) % 3, seen, np.ones(300))
-    assert together > 2.0 * alone
+def test_scenes_of_no_class_lower_the_certainty_of_views_like_theirs_alone():
+    rng = np.random.default_rng(0)
+    index = rng.integers(0, 3, 900)
+    logits = 4.0 * np.eye(3, dtype=np.float32)[index]
+    # Of the first 600, which show a class, 80 % are right; the others show none, with holes.
+    truth = np.where(rng.random(900) < 0.2, (index + 1) % 3, index)[:600]
+    shares = np.where(np.arange(900) < 600, 1.0, 0.5)
+    temperature, warming = fit_certainty(
+        logits, truth, profiles(900, surface_share=shares), np.ones(900)
+    )
+    for share, right in ((1.0, 0.8), (0.5, 0.34)):
+        p = np.exp(4.0 / (temperature * warming.empty_view ** (1.0 - share)))
+        assert p / (p + 2.0) == pytest.approx(right, abs=0.1)

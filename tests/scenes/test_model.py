@@ -270,7 +270,7 @@ def test_a_type_that_is_not_trusted_is_refused(file):
 @pytest.mark.parametrize(("name", "n_classes"), [("default", 9), ("synthetic", 7)])
 def test_the_included_models(name, n_classes):
     model = models.resolve(name)
-    assert "synthetic rooms: " in model.trained_on
+    assert "synthetic rooms" in model.trained_on
     assert model.vocabulary.words_.shape == (model.vocabulary.n_words, 180)
     view = next(training_views("office", 590, 1))
     scene = model.labeller().label(view)

@@ -1,0 +1,74 @@
+"""Views of synthetic rooms, rendered once and kept in a folder: rendering is most of training."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+
+from slam_bof.synthetic import messy_views, training_views
+from slam_bof.types import Array, DepthFrame, Intrinsics
+
+__all__ = ["RenderedViews"]
+
+View = tuple[DepthFrame, Array | None]
+ARRAYS = ("depth", "stamps_s", "down", "camera")
+
+
+class RenderedViews:
+    """Renders views, or reads them from ``folder`` if it has them; without one nothing is kept.
+
+    A file holds the depth of all views of a room without loss, so what is trained does not depend
+    on where the views are from.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._folder = folder
+
+    def tidy(self, kind: str, seed: int, n_views: int) -> Iterator[View]:
+        """Yield ``training_views``, without gravity."""
+        views = ((frame, None) for frame in training_views(kind, seed, n_views))
+        yield from self._kept(f"tidy-{kind}-{seed}", n_views, views)
+
+    def messy(self, kind: str, seed: int, n_views: int) -> Iterator[View]:
+        """Yield ``messy_views``, with gravity."""
+        yield from self._kept(f"messy-{kind}-{seed}", n_views, messy_views(kind, seed, n_views))
+
+    def _kept(self, name: str, n_views: int, views: Iterator[View]) -> Iterator[View]:
+        if self._folder is None:
+            yield from views
+            return
+        path = self._folder / f"{name}.npz"
+        found = list(_read(path))
+        if len(found) < n_views:
+            found = list(views)
+            _write(path, found)
+        yield from found[:n_views]
+
+
+def _read(path: Path) -> Iterator[View]:
+    if not path.is_file():
+        return
+    with np.load(path) as stored:
+        depths, stamps_s, downs, camera = (stored[name] for name in ARRAYS)
+    width, height, *others = camera.tolist()
+    intrinsics = Intrinsics(int(width), int(height), *others)
+    for depth, stamp_s, down in zip(depths, stamps_s.tolist(), downs, strict=True):
+        yield DepthFrame(stamp_s, depth, intrinsics), down if down.any() else None
+
+
+def _write(path: Path, views: list[View]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(path.name + ".part")
+    with unfinished.open("wb") as file:
+        np.savez_compressed(
+            file,
+            depth=[frame.depth for frame, _ in views],
+            stamps_s=[frame.stamp_s for frame, _ in views],
+            down=[np.zeros(3) if down is None else down for _, down in views],
+            camera=astuple(views[0][0].intrinsics),
+        )
+    os.replace(unfinished, path)
