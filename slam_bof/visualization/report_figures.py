@@ -137,7 +137,7 @@ def draw_uncertainty(times_s: Array, sigma_m: Array, sigma_rad: Array) -> Figure
         figure.add_scatter(
             x=times_s, y=sigma, mode="lines", name=name, line={"color": color, "width": 1.5}
         )
-    figure.update_yaxes(type="log")
+    figure.update_yaxes(type="log", dtick=1)
     return figure.update_layout(height=240)
 
 
