@@ -31,6 +31,8 @@ EDGE_VARIANCE = 0.01**2
 """Of an edge until its noise is known, the mean over the six axes, in rad^2 and m^2."""
 MEDIAN_SQUARE = 5.348
 """Median of the squares of six independent variables of variance 1: of a chi-squared variable."""
+MIN_EDGE_VARIANCE = 1e-5**2
+"""The same where edges agree with each other but for rounding."""
 VIEW_FACTOR = 1.5
 """Variance of an edge in terms of its own noise: what is off in a view shows in no closure."""
 STEP_VARIANCE = 0.05**2
@@ -137,7 +139,7 @@ class MapUncertainty:
         closures = [closure for noise in self._noise.values() for closure in noise.closures]
         if len(closures) < MIN_TRIPLES:
             return EDGE_VARIANCE
-        return VIEW_FACTOR * float(np.median(closures)) / MEDIAN_SQUARE
+        return max(VIEW_FACTOR * float(np.median(closures)) / MEDIAN_SQUARE, MIN_EDGE_VARIANCE)
 
     def of_edges(self, loops: Sequence[Loop]) -> Array:
         """Return the covariance (L, 6, 6) of the tangent of ``T_match_query`` of each edge."""

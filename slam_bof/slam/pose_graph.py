@@ -154,12 +154,14 @@ class MapGraph:
     def covariances(self) -> Array:
         """Return the covariance (K, 6, 6) of each keyframe; see ``MapUncertainty.covariances``.
 
-        That of a culled keyframe is that of its anchor, to which its pose is fixed.
+        That of a culled keyframe is that of its anchor, to which its pose is fixed, and of the
+        edge by which it is.
         """
         made = self.uncertainty.covariances(self.components.in_use(), self._T_map_camera.rows)
         culled = np.flatnonzero(self.components.in_use() < 0)
         carried = se3.adjoint(se3.inverse(self._T_anchor_keyframe.rows[culled]))
         made[culled] = carried @ made[self._anchors.rows[culled]] @ np.swapaxes(carried, -1, -2)
+        made[culled] += np.diag(np.repeat(self.uncertainty.edge_variances(), 3))
         return made
 
     @property
