@@ -20,7 +20,7 @@ def test_topics_latency_and_processes_are_measured(write_turn, tmp_path):
         [sys.executable, str(ROOT / "scripts" / "measure_node"), str(tmp_path / "room" / "seq-01"),
          "--rate", "4", "--json"],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([*map(str, paths), *known])},
-        capture_output=True, text=True, timeout=240, check=False,
+        capture_output=True, text=True, timeout=480, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     *topics, latency, node, map_ = map(json.loads, done.stdout.splitlines())
