@@ -276,6 +276,14 @@ def _bofs(frame: DepthFrame, down: Array | None) -> NDArray[np.float32]:
     return descriptors(frame, PlaceParams())
 
 
+def _predictor(classifier: LevelledClassifier | ConstellationClassifier) -> _Predictor:
+    def predict(item: LevelledFeatures) -> tuple[tuple[str, ...], Array]:
+        scene = classifier.label_features(item)
+        return scene.classes, scene.probabilities
+
+    return predict, sum(array.nbytes for array in classifier.arrays().values())
+
+
 def _fit_levelled(seed: int) -> Callable[..., _Predictor]:
     def fit(
         features: list[LevelledFeatures],
@@ -292,12 +300,7 @@ def _fit_levelled(seed: int) -> Callable[..., _Predictor]:
             network=room_network(seed),
             seed=seed,
         )
-
-        def predict(item: LevelledFeatures) -> tuple[tuple[str, ...], Array]:
-            scene = classifier.label_features(item)
-            return scene.classes, scene.probabilities
-
-        return predict, sum(array.nbytes for array in classifier.arrays().values())
+        return _predictor(classifier)
 
     return fit
 
@@ -316,12 +319,7 @@ def _fit_constellation(seed: int) -> Callable[..., _Predictor]:
             copies=copies,
             training=TransformerTraining(seed=seed),
         )
-
-        def predict(item: LevelledFeatures) -> tuple[tuple[str, ...], Array]:
-            scene = classifier.label_features(item)
-            return scene.classes, scene.probabilities
-
-        return predict, sum(array.nbytes for array in classifier.arrays().values())
+        return _predictor(classifier)
 
     return fit
 
