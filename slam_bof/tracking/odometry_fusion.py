@@ -8,6 +8,10 @@ make one difference the opposite of the last, drift does not (as in Mehra, IEEE 
 which of the two noises is the greater shows in how unsteadily each moves. The correction of the
 drift then follows a Kalman filter in its steady state, and the pose lies between the corrected
 odometry and the alignment.
+
+Where most frames become keyframes, because frames are few, this is not known, since hardly three in
+a row are aligned with the same one. ``StepNoise`` then tells whether odometry or alignment errs
+more.
 """
 
 from __future__ import annotations
@@ -17,20 +21,24 @@ from typing import Any
 import numpy as np
 
 from slam_bof.geometry import se3
+from slam_bof.tracking.step_noise import (
+    FORGETTING,
+    N_REFERENCE,
+    SLIP,
+    TINY,
+    StepNoise,
+    products,
+    square,
+)
 from slam_bof.types import Array, Pose
 
 __all__ = ["OdometryFusion"]
 
-FORGETTING = 0.05
-"""Weight of the newest frame in what is known of the noise: about a second of a camera."""
-SLIP = 3.0
-"""Differences greater than usual by this are slips of odometry, and alignment is taken."""
 OUTLIER = 5.0
 """Greater ones than this count as this much in what is usual."""
-N_REFERENCE = 6
-"""Frames after which it is known what is usual."""
-TINY = 1e-12
-"""Variances, m^2 and rad^2, that are nothing."""
+
+MAX_WANDER = 0.9
+"""Largest share of the drift that is alignment's: a steady drift of odometry looks like that."""
 
 
 class OdometryFusion:
@@ -41,7 +49,9 @@ class OdometryFusion:
         # Of odometry and of alignment:
         self._poses: Array | None = None  # (2, 4, 4) of the last frame
         self._steps: Array | None = None  # (2, 6) since the one before
+        self._last: Array | None = None  # (2, 4, 4) of the last frame, by odometry and as fused
         self._n = 0
+        self._step_noise = StepNoise()
         # Of rotation and of translation, each (2,):
         self._difference = np.full(2, TINY)  # mean square between the steps of both
         self._after = np.zeros(2)  # the same, of one and the next
@@ -50,13 +60,15 @@ class OdometryFusion:
     def restart(self, T_odometry: Pose, T_track: Pose) -> None:
         """Take a frame's pose (4, 4) for what it is, and odometry's steps from there on."""
         self._T_track_odometry = _rigid(T_track @ se3.inverse(T_odometry))
-        self._poses = self._steps = None
+        self._poses = self._steps = self._last = None
 
     def carry(self, T: Pose) -> None:
         """Move the whole track by ``T`` (4, 4)."""
         self._T_track_odometry = _rigid(T @ self._T_track_odometry)
         if self._poses is not None:
             self._poses = np.stack([self._poses[0], T @ self._poses[1]])
+        if self._last is not None:
+            self._last = np.stack([self._last[0], T @ self._last[1]])
 
     def change_reference(self) -> None:
         """Frames are aligned with another keyframe from now on, which shifts all of them."""
@@ -70,16 +82,27 @@ class OdometryFusion:
             "difference": self._difference.tolist(),
             "after": self._after.tolist(),
             "unsteady": self._unsteady.tolist(),
+            "last": None if self._last is None else self._last.tolist(),
+            "step_noise": self._step_noise.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from there."""
         self._poses = self._steps = None
+        # Maps that were saved before steps between keyframes were compared do not have them.
+        last = state.get("last")
+        self._last = None if last is None else np.array(last)
         self._n = state["n"]
         self._T_track_odometry = np.array(state["T_track_odometry"])
         self._difference = np.array(state["difference"])
         self._after = np.array(state["after"])
         self._unsteady = np.array(state["unsteady"])
+        self._step_noise = StepNoise(state.get("step_noise"))
+
+    @property
+    def prefers_odometry(self) -> bool:
+        """Whether odometry is known to be more precise than alignment with the keyframe before."""
+        return self._n <= N_REFERENCE and self._step_noise.prefers_odometry
 
     def predict(self, T_odometry: Pose) -> Pose:
         """Return the pose (4, 4) of a frame as far as odometry tells."""
@@ -99,25 +122,33 @@ class OdometryFusion:
         self._poses = poses
         of_drift, of_pose = self._gains()
         # As long as nothing is known, anything is a slip.
-        if (_square(off) > SLIP**2 * self._difference).any():
+        if (square(off) > SLIP**2 * self._difference).any():
             of_drift = of_pose = np.ones(2)
+        if self._last is None:
+            self._step_noise.interrupt()
+        else:
+            moved = np.stack([T_odometry, T_aligned])
+            self._step_noise.learn(se3.log(se3.inverse(self._last) @ moved))
+            if self._n <= N_REFERENCE:
+                of_drift = of_pose = self._step_noise.gain(off)
         T_corrected, T_fused = T_predicted @ se3.exp(
             np.stack([off * of_drift.repeat(3), off * of_pose.repeat(3)])
         )
         self._T_track_odometry = _rigid(T_corrected @ se3.inverse(T_odometry))
+        self._last = np.stack([T_odometry, T_fused])
         return np.asarray(T_fused)
 
     def _learn(self, before: Array, now: Array) -> None:
         """Learn from the last two steps, each (2, 6) by odometry and by alignment."""
         first, second = before[1] - before[0], now[1] - now[0]
-        unsteady = _square(now[1] - before[1]) - _square(now[0] - before[0])
+        unsteady = square(now[1] - before[1]) - square(now[0] - before[0])
         self._n += 1
         is_reference_known = self._n > N_REFERENCE
         most = OUTLIER**2 * self._difference if is_reference_known else np.full(2, np.inf)
         weight = max(FORGETTING, 1.0 / (self._n + 1))
-        squares = 0.5 * (_square(first) + _square(second))
+        squares = 0.5 * (square(first) + square(second))
         difference = np.minimum(squares, most)
-        after = np.clip(_products(first, second), -most, most)
+        after = np.clip(products(first, second), -most, most)
         unsteady = np.clip(unsteady, -6.0 * most, 6.0 * most)
         self._difference = self._difference + weight * (difference - self._difference)
         self._after = self._after + weight * (after - self._after)
@@ -126,26 +157,20 @@ class OdometryFusion:
     def _gains(self) -> tuple[Array, Array]:
         """Return how far to go to the alignment, (2,) for the drift and (2,) for the pose.
 
-        With noises a of alignment and b of odometry and drift q a step, mean squares are
-        2 (a + b) + q of differences, -(a + b) of one by the next, and 6 a - (6 b + 2 q) of
-        the changes of step, alignment's less odometry's.
+        With noises a of alignment and b of odometry, drift q of odometry a step, and w by which
+        alignment wanders, as where a sensor errs alike in frames that follow each other, mean
+        squares are 2 (a + b) + q + w of differences, -(a + b) of one by the next, and
+        6 a + 2 w - (6 b + 2 q) of the changes of step, alignment's less odometry's. These do not
+        tell all four; w is the least that agrees with them.
         """
         noise = np.maximum(-self._after, TINY)
         drift = np.maximum(self._difference - 2.0 * noise, 0.0)
+        excess = self._unsteady - 6.0 * noise + 2.0 * drift
+        drift -= np.clip(excess / 4.0, 0.0, MAX_WANDER * drift)
         of_drift = 2.0 / (1.0 + np.sqrt(1.0 + 4.0 * noise / np.maximum(drift, TINY)))
         of_odometry = 0.5 - (self._unsteady + 2.0 * drift) / (12.0 * noise)
         of_pose = of_drift + (1.0 - of_drift) * np.clip(of_odometry, 0.0, 1.0)
         return of_drift, of_pose
-
-
-def _products(a: Array, b: Array) -> Array:
-    """Return the dot products of two tangents (6,), of their rotations and translations: (2,)."""
-    return np.asarray((a * b).reshape(2, 3).sum(axis=1))
-
-
-def _square(tangent: Array) -> Array:
-    """Return the squares of the lengths of a tangent's rotation and translation, (2,)."""
-    return _products(tangent, tangent)
 
 
 def _rigid(T: Pose) -> Pose:

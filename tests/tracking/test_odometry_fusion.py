@@ -1,5 +1,7 @@
 """Odometry and alignment are weighed by what each errs by, whatever that is."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -86,6 +88,59 @@ def test_a_slip_is_mended_at_once(truth):
     odometry[200:] = odometry[200:] @ se3.exp(np.array([0, 0.05, 0, 0.1, 0, 0]))
     poses = fused(odometry, truth @ noise(N, 3.0, 3))
     assert 1e3 * np.abs((se3.inverse(truth) @ poses)[200:205, :3, 3]).max() < 12.0
+
+
+def fused_where_each_is_a_keyframe(odometry, aligned_steps):
+    """Fuse poses where each frame is aligned with the one before."""
+    fusion = OdometryFusion()
+    poses = [odometry[0]]
+    fusion.restart(odometry[0], odometry[0])
+    for i in range(1, len(odometry)):
+        fusion.change_reference()
+        poses.append(fusion.fuse(odometry[i], poses[-1] @ aligned_steps[i - 1]))
+    return np.array(poses), fusion
+
+
+def step_errors_mm(poses, truth):
+    """By how many mm, root mean square, steps are off once the noise is known."""
+    steps, true_steps = (se3.inverse(T[FROM:-1]) @ T[FROM + 1 :] for T in (poses, truth))
+    return 1e3 * np.sqrt(np.mean((se3.inverse(true_steps) @ steps)[:, :3, 3] ** 2))
+
+
+@pytest.fixture(scope="module")
+def sparse(truth):
+    """The camera at a tenth of its rate, (N, 4, 4)."""
+    return se3.exp(10.0 * se3.log(truth))
+
+
+@pytest.mark.parametrize("odometry_mm", [0.0, 5.0, 50.0])
+def test_where_each_frame_is_a_keyframe_the_more_precise_step_counts(sparse, odometry_mm):
+    odometry = drifting(sparse, odometry_mm)
+    steps = se3.inverse(sparse[:-1]) @ sparse[1:] @ noise(N - 1, 50.0, 2)
+    poses, fusion = fused_where_each_is_a_keyframe(odometry, steps)
+    assert step_errors_mm(poses, sparse) < (15.0 if odometry_mm < 50.0 else 45.0)
+    assert fusion.prefers_odometry or odometry_mm == 50.0
+
+
+def test_odometry_that_stays_behind_is_not_preferred(sparse):
+    """Its steps are the steadier ones, but what they lack is in the next step too."""
+    steps = se3.inverse(sparse[:-1]) @ sparse[1:]
+    behind = [sparse[0]]
+    for half in se3.exp(0.5 * se3.log(steps)):
+        behind.append(behind[-1] @ half)
+    poses, fusion = fused_where_each_is_a_keyframe(np.array(behind), steps @ noise(N - 1, 5.0, 2))
+    assert not fusion.prefers_odometry
+    assert step_errors_mm(poses, sparse) < 6.0
+
+
+def test_what_is_known_of_steps_survives_saving(sparse):
+    steps = se3.inverse(sparse[:-1]) @ sparse[1:] @ noise(N - 1, 50.0, 2)
+    _, fusion = fused_where_each_is_a_keyframe(sparse[:50], steps)
+    restored = OdometryFusion()
+    restored.restore(json.loads(json.dumps(fusion.state())))
+    fusion.change_reference()
+    next_poses = sparse[50], sparse[49] @ steps[49]
+    np.testing.assert_array_equal(restored.fuse(*next_poses), fusion.fuse(*next_poses))
 
 
 def test_a_restart_is_where_it_is_said_to_be(truth):
