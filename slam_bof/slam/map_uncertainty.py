@@ -141,6 +141,13 @@ class MapUncertainty:
             return EDGE_VARIANCE
         return max(VIEW_FACTOR * float(np.median(closures)) / MEDIAN_SQUARE, MIN_EDGE_VARIANCE)
 
+    def edge_excess(self) -> float:
+        """Return by how much the noise of edges exceeds what the back-end takes it for, at least 1.
+
+        It weighs edges less that are off by more, by its robust kernel.
+        """
+        return max(float(np.sqrt(self.edge_scale() / EDGE_VARIANCE)), 1.0)
+
     def of_edges(self, loops: Sequence[Loop]) -> Array:
         """Return the covariance (L, 6, 6) of the tangent of ``T_match_query`` of each edge."""
         information = np.array([loop.information for loop in loops]).reshape(-1, 6, 6)

@@ -13,18 +13,22 @@ each two. Let A, B and C be the differences between odometry and the edges i-j, 
 Noise by which each pose of odometry is off by itself adds to the differences from one keyframe to
 the next, beyond the noise of their edges. A slow drift that always goes the same way is no random
 walk and hardly shows in short edges; it shows in those between keyframes that are far apart.
+
+Some edges are wrong, so squares are taken by their median, and products of few count no more than
+a multiple of the median.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 
 import numpy as np
 
 from slam_bof.geometry import se3
 from slam_bof.types import Array, Pose
 
-__all__ = ["OdometryNoise"]
+__all__ = ["MIN_RELATIVE_SIGMA_LONG", "OdometryNoise"]
 
 MIN_TRIPLES, MIN_STEPS = 10, 10
 """With fewer of either, nothing is known yet."""
@@ -35,10 +39,17 @@ LONG = 10
 LONG_FACTOR = 2.5
 """Long edges are less precise than others by no more than this factor, since views differ more."""
 MIN_RELATIVE_SIGMA = 0.1
-"""A step is believed no more than this, because a few edges do not show a slow drift."""
+"""A step is believed no more than this."""
+MIN_RELATIVE_SIGMA_LONG, MIN_LONG = 0.7, 10
+"""Nor more than this where as many long edges can mend a slow drift that is less than their noise,
+which therefore does not show."""
 UNIT_SHAPE: Array = np.eye(6)
-MAX_CLOSURES = 1000
-"""Number of closures, the newest ones, by which covariances are scaled."""
+N_KEPT = 1000
+"""Number of closures, steps and long edges, the newest ones, of which the noise is learnt."""
+MEDIAN_SQUARE = 2.366
+"""Median of the sum of squares of three independent variables of variance 1."""
+OUTLIER = 25.0
+"""Products greater than their median by this factor count as that much."""
 TINY = 1e-18
 """A variance of closures, in rad^2 and m^2, that is rounding."""
 
@@ -56,13 +67,14 @@ class OdometryNoise:
         self._neighbours: dict[int, dict[int, Array]] = {}
         self._triples: list[tuple[int, ...]] = []
         self._edges: dict[tuple[int, int], tuple[Pose, Array]] = {}
-        self._n_triples = self._n_steps = self._n_long = self._n_passed = 0
         # Sums of squares over the three axes, of rotation and of translation, each (2,):
-        self._walk = np.zeros(2)
-        self._closure = np.zeros(2)
-        self._whitened: deque[float] = deque(maxlen=MAX_CLOSURES)
-        self._off_step = np.zeros(2)
-        self._off_long = np.zeros(2)
+        self._walks: deque[tuple[int, Array]] = deque(maxlen=N_KEPT)  # with keyframes passed
+        self._closures: deque[Array] = deque(maxlen=N_KEPT)
+        self._off_steps: deque[Array] = deque(maxlen=N_KEPT)
+        self._off_long: deque[tuple[int, Array]] = deque(maxlen=N_KEPT)  # with keyframes passed
+        self._whitened: deque[float] = deque(maxlen=N_KEPT)
+        self._step_sigmas: Array | None = None
+        self._drift_sigmas = np.zeros(2)
 
     def add_keyframe(self, keyframe_id: int, T_odom_camera: Pose) -> None:
         """Add a keyframe by its pose (4, 4) from odometry."""
@@ -92,39 +104,29 @@ class OdometryNoise:
         common = self._neighbours[match_id].keys() & self._neighbours[query_id].keys()
         for other in sorted(common)[-MAX_TRIPLES:]:
             self._triples.append(tuple(sorted((match_id, query_id, other))))
-        if query_id == match_id + 1:
-            self._off_step = self._off_step + _squares(self._neighbours[match_id][query_id])
-            self._n_steps += 1
-        if query_id - match_id > LONG:
-            self._off_long = self._off_long + _squares(self._neighbours[match_id][query_id])
-            self._n_long += 1
+        off, n_passed = _squares(self._neighbours[match_id][query_id]), query_id - match_id
+        if n_passed == 1:
+            self._off_steps.append(off)
+        if n_passed > LONG:
+            self._off_long.append((n_passed, off))
 
     def learn(self) -> None:
-        """Learn from the triples, in the order of time, that new edges have closed."""
-        if not self._triples:
+        """Learn from the edges that were added."""
+        if self._triples:
+            self._learn_triples()
+        if len(self._closures) < MIN_TRIPLES or len(self._off_steps) < MIN_STEPS:
             return
-        triples, self._triples = self._triples, []
-        i, j, k = np.array(triples).T
-        a, b, c = (
-            np.array([self._neighbours[match][query] for match, query in pairs.tolist()])
-            for pairs in (np.stack([i, j], 1), np.stack([j, k], 1), np.stack([i, k], 1))
-        )
-        (T_i_j, of_a), (T_j_k, of_b), (T_i_k, of_c) = (
-            map(np.array, zip(*(self._edges[match, query] for match, query in pairs), strict=True))
-            for pairs in (zip(*ends, strict=True) for ends in ((i, j), (j, k), (i, k)))
-        )
-        T_k_j = np.array([self._step(last, middle) for _, middle, last in triples])
-        a = (se3.adjoint(T_k_j) @ a[..., None])[..., 0]  # as a motion of the last keyframe
-        walk = _products(a + b, c) + 2.0 * _products(a, b)
-        closure = se3.log(se3.inverse(T_i_k) @ T_i_j @ T_j_k)
-        carried = se3.adjoint(se3.inverse(T_j_k))
-        shape = carried @ of_a @ np.swapaxes(carried, 1, 2) + of_b + of_c
-        whitened = closure[:, None] @ np.linalg.solve(shape, closure[..., None])
-        self._whitened.extend(whitened[:, 0, 0].tolist())
-        self._walk = self._walk + walk.sum(axis=0)
-        self._closure = self._closure + _squares(closure).sum(axis=0)
-        self._n_passed += int((k - i).sum())
-        self._n_triples += len(triples)
+        edge = np.maximum(_variance(self._closures) / 3.0, TINY)  # along an axis
+        n_passed, walks = map(np.array, zip(*self._walks, strict=True))
+        walks = walks / n_passed[:, None]
+        most = OUTLIER * np.median(np.abs(walks), axis=0)
+        walk = np.average(np.clip(walks, -most, most), axis=0, weights=n_passed) / 3.0
+        step = np.maximum(_variance(self._off_steps) - edge, 0.0)
+        self._step_sigmas = np.sqrt((np.maximum(walk, 0.0) + step) / edge)
+        if self._off_long:
+            n_passed, off = map(np.array, zip(*self._off_long, strict=True))
+            beyond = np.maximum(off / MEDIAN_SQUARE - LONG_FACTOR**2 * edge, 0.0)
+            self._drift_sigmas = np.sqrt(np.median(beyond / n_passed[:, None], axis=0) / edge)
 
     def forget(self, keyframe_id: int) -> None:
         """Forget a keyframe that gets no further edges; what was learnt from it stays."""
@@ -143,26 +145,45 @@ class OdometryNoise:
         step = self.step_sigmas()
         if step is None:
             return None
-        drift = self._off_long / max(self._n_long, 1) / self._edge() - LONG_FACTOR**2
-        relative = np.sqrt(np.maximum(np.square(step), drift))
-        return np.asarray(np.maximum(relative, MIN_RELATIVE_SIGMA))
+        has_long = len(self._off_long) >= MIN_LONG
+        least = MIN_RELATIVE_SIGMA_LONG if has_long else MIN_RELATIVE_SIGMA
+        return np.asarray(np.maximum(np.maximum(step, least), self._drift_sigmas))
 
     def step_sigmas(self) -> Array | None:
         """Return the same (2,) of odometry without slow drift, or None."""
-        if self.is_given or self._n_triples < MIN_TRIPLES or self._n_steps < MIN_STEPS:
-            return None
-        walk = np.maximum(self._walk / self._n_passed, 0.0)
-        step = np.maximum(self._off_step / self._n_steps - self._edge(), 0.0)
-        return np.asarray(np.sqrt((walk + step) / self._edge()))
+        return None if self.is_given else self._step_sigmas
+
+    def usual_step(self) -> Array:
+        """Return by how much (2,) odometry usually differs from an edge of one step, rad and m."""
+        return np.sqrt(np.median(list(self._off_steps), axis=0))
 
     @property
     def closures(self) -> list[float]:
         """The squared Mahalanobis distances of the newest closures, by the shapes of edges."""
         return list(self._whitened)
 
-    def _edge(self) -> Array:
-        """Return the variance (2,) of an edge."""
-        return np.maximum(self._closure / (3 * self._n_triples), TINY)
+    def _learn_triples(self) -> None:
+        """Learn from the triples, in the order of time, that new edges have closed."""
+        triples, self._triples = self._triples, []
+        i, j, k = np.array(triples).T
+        a, b, c = (
+            np.array([self._neighbours[match][query] for match, query in pairs.tolist()])
+            for pairs in (np.stack([i, j], 1), np.stack([j, k], 1), np.stack([i, k], 1))
+        )
+        (T_i_j, of_a), (T_j_k, of_b), (T_i_k, of_c) = (
+            map(np.array, zip(*(self._edges[match, query] for match, query in pairs), strict=True))
+            for pairs in (zip(*ends, strict=True) for ends in ((i, j), (j, k), (i, k)))
+        )
+        T_k_j = np.array([self._step(last, middle) for _, middle, last in triples])
+        a = (se3.adjoint(T_k_j) @ a[..., None])[..., 0]  # as a motion of the last keyframe
+        walk = _products(a + b, c) + 2.0 * _products(a, b)
+        closure = se3.log(se3.inverse(T_i_k) @ T_i_j @ T_j_k)
+        carried = se3.adjoint(se3.inverse(T_j_k))
+        shape = carried @ of_a @ np.swapaxes(carried, 1, 2) + of_b + of_c
+        whitened = closure[:, None] @ np.linalg.solve(shape, closure[..., None])
+        self._whitened.extend(whitened[:, 0, 0].tolist())
+        self._walks.extend(zip((k - i).tolist(), walk, strict=True))
+        self._closures.extend(_squares(closure))
 
     def _step(self, a: int, b: int) -> Pose:
         """Return the pose (4, 4) of keyframe b in the camera of keyframe a."""
@@ -176,3 +197,8 @@ def _products(a: Array, b: Array) -> Array:
 
 def _squares(tangent: Array) -> Array:
     return _products(tangent, tangent)
+
+
+def _variance(squares: Iterable[Array]) -> Array:
+    """Return the variance (2,) along an axis of which there are squares (2,) of three axes."""
+    return np.asarray(np.median(list(squares), axis=0) / MEDIAN_SQUARE)

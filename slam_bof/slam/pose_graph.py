@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +15,17 @@ from slam_bof.slam.components import MapComponents
 from slam_bof.slam.graph_paths import Links
 from slam_bof.slam.loop_log import LoopLog
 from slam_bof.slam.map_uncertainty import MapUncertainty
+from slam_bof.slam.odometry_noise import MIN_RELATIVE_SIGMA_LONG
 from slam_bof.types import Array, Keyframe, Loop
 
 __all__ = ["MapGraph"]
 
-MAX_RELATIVE_SIGMA = 0.7
-"""Odometry replaces tracking if its standard deviation is at most this share of that of an edge."""
+TRACKED_SIGMA = 5.0
+"""Standard deviation of a step of tracking, as a multiple of that of an edge. It is large because
+the edges between the same keyframes, found by the same alignment, are in the graph as well."""
+SLIP = 5.0
+"""Odometry that is not as precise as is ever believed has slipped where it differs from tracking by
+this multiple of what is usual."""
 MAX_STEP_SIGMA = 2.0
 """Odometry is trusted against single views if its steps have at most this multiple of it."""
 
@@ -27,9 +33,9 @@ MAX_STEP_SIGMA = 2.0
 class MapGraph:
     """Adds keyframes and loops to the back-end in order, and joins components that loops connect.
 
-    Steps from keyframe to keyframe are those of tracking. If odometry turns out to be more
-    precise than the edges between keyframes, they become those of odometry in the final
-    optimisation.
+    Steps from keyframe to keyframe are those of tracking. Once it is known how precise odometry
+    is beside the edges between keyframes, they become means of odometry and tracking, weighted by
+    that, in the final optimisation.
 
     Attributes
     ----------
@@ -205,16 +211,22 @@ class MapGraph:
         return before_m + float(np.linalg.norm(step_m))
 
     def _choose_odometry(self) -> None:
-        """Let the steps of each session be those of odometry if it is precise, or of tracking."""
+        """Let the steps of each session be as precise as odometry and tracking are together."""
         for noise in self.uncertainty.sessions.values():
             keyframes = [self._keyframes[k] for k in self.in_use]
-            keyframes = [k for k in keyframes if k.id in noise.T_odom_camera]
+            ids = [k.id for k in keyframes if k.id in noise.T_odom_camera]
+            if not ids:
+                continue
+            tracked = np.array([self._keyframes[k].T_odom_camera for k in ids])
             sigmas = noise.relative_sigmas()
-            if sigmas is None or sigmas.max() > MAX_RELATIVE_SIGMA:
-                self.backend.set_odometry({k.id: k.T_odom_camera for k in keyframes}, None)
-            else:
-                poses = {k.id: noise.T_odom_camera[k.id] for k in keyframes}
-                self.backend.set_odometry(poses, sigmas)
+            if sigmas is not None:
+                by_odometry = np.array([noise.T_odom_camera[k] for k in ids])
+                share = sigmas**2 / (sigmas**2 + TRACKED_SIGMA**2)
+                is_precise = sigmas.max() <= MIN_RELATIVE_SIGMA_LONG
+                slip = np.full(2, np.inf) if is_precise else SLIP * noise.usual_step()
+                tracked = _weighted_track(by_odometry, tracked, share, slip)
+                sigmas = TRACKED_SIGMA * np.sqrt(share) * self.uncertainty.edge_excess()
+            self.backend.set_odometry(dict(zip(ids, tracked, strict=True)), sigmas)
 
     def _join(self, loop: Loop) -> None:
         """Where the loop is between two components, carry the younger to the older."""
@@ -229,3 +241,17 @@ class MapGraph:
         self.backend.move(np.flatnonzero(components == younger), T)
         self.components.join(loop.match_id, loop.query_id)
         self._refresh()
+
+
+def _weighted_track(by_odometry: Array, tracked: Array, share: Array, slip: Array) -> Array:
+    """Return poses (K, 4, 4) whose steps are means of those of two tracks (K, 4, 4).
+
+    ``share`` (2,) is the weight of the second, for rotation and for translation. Where they differ
+    by more than ``slip`` (2,), in rad and m, the second counts alone.
+    """
+    steps, others = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (by_odometry, tracked))
+    off = se3.log(se3.inverse(steps) @ others)
+    slips = (np.linalg.norm(off.reshape(-1, 2, 3), axis=2) > slip).any(axis=1)
+    weights = np.where(slips[:, None], 1.0, share).repeat(3, axis=1)
+    steps = steps @ se3.exp(weights * off)
+    return se3.nearest_pose(np.array(list(accumulate(steps, np.matmul, initial=by_odometry[0]))))
