@@ -134,6 +134,7 @@ class ViewStack:
         return ViewArrays(
             depths_m=self._depths_m.rows,
             normals=self._normals.rows,
+            sampled=self._sampled.rows,
             rays=self._rays,
             width=camera.width,
             height=camera.height,
