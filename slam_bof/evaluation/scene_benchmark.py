@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 
 from slam_bof.core import registry
@@ -20,7 +22,7 @@ from slam_bof.datasets import (
 )
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.cost import one_thread
-from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
+from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod, make_methods
 from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
 from slam_bof.evaluation.scene_splits import Split
 from slam_bof.scenes import SvmParams, TrainingFrame, frame_groups
@@ -30,6 +32,7 @@ from slam_bof.types import Array
 __all__ = [
     "SceneResult",
     "compare_methods",
+    "compare_named_methods",
     "split_officially",
     "split_rooms",
     "split_sunrgbd",
@@ -113,6 +116,37 @@ def compare_methods(
         frames = _read_training(split.train, sequences, evaluated, on_progress)
         fitted = _fit(frames, split.train, groups, evaluated, left_out, on_progress)
         return _test(split, fitted, on_progress), left_out
+
+
+def compare_named_methods(
+    split: Split,
+    names: Sequence[str],
+    *,
+    n_words: int = 1024,
+    seed: int = 0,
+    groups: Sequence[str] | None = None,
+    n_jobs: int | None = 1,
+    on_progress: Progress = lambda what, done, total: None,
+) -> tuple[list[SceneResult], dict[str, str]]:
+    """Make methods by name (``make_methods``) and compare them, several at a time if asked for.
+
+    Parameters and results are those of ``compare_methods``, and ``n_jobs`` is the number of methods
+    evaluated at a time, each in a process of its own that reads the frames again; None for that of
+    the cluster of ``core.on_cluster``. But for times, the results do not depend on it.
+    """
+    methods = make_methods(names, n_words=n_words, seed=seed)
+    if n_jobs == 1:
+        return compare_methods(split, methods, groups=groups, on_progress=on_progress)
+    alone = partial(compare_named_methods, split, n_words=n_words, seed=seed, groups=groups)
+    jobs = [joblib.delayed(alone)([name]) for name in names]
+    results: list[SceneResult] = []
+    left_out: dict[str, str] = {}
+    found = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
+    for done, (of_method, without) in enumerate(found, start=1):
+        results += of_method
+        left_out |= without
+        on_progress("Methods", done, len(names))
+    return results, left_out
 
 
 def split_officially(labels: Sequence[tuple[str, Path]], *, every: int = 1) -> Split:

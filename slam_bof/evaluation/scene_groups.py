@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.model_selection import StratifiedGroupKFold
@@ -89,6 +91,7 @@ def cross_validate_groups(
     share: float = 1.0,
     n_words: int = 1024,
     seed: int = 0,
+    n_jobs: int | None = 1,
     on_progress: Progress = lambda what, done, total: None,
 ) -> list[SceneResult]:
     """Test methods on groups that they were not trained with.
@@ -109,6 +112,8 @@ def cross_validate_groups(
         Words of the bags' vocabulary.
     seed
         Seed of folds, copies and classifiers.
+    n_jobs
+        Number of methods evaluated at a time; see ``compare_named_methods``.
 
     Returns
     -------
@@ -122,6 +127,23 @@ def cross_validate_groups(
     """
     check_groups(frames, n_folds)
     made = [_make(name, n_words, seed) for name in methods]
+    if n_jobs != 1:
+        alone = partial(
+            cross_validate_groups,
+            frames,
+            n_folds=n_folds,
+            n_repeats=n_repeats,
+            n_copies=n_copies,
+            share=share,
+            n_words=n_words,
+            seed=seed,
+        )
+        jobs = [joblib.delayed(alone)([name]) for name in methods]
+        found: list[SceneResult] = []
+        for of_method in joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs):
+            found += of_method
+            on_progress("Methods", len(found), len(methods))
+        return found
     labels, groups = [frame.label for frame in frames], sequence_names(frames)
     classes = sorted(set(labels))
     y, g = np.array(labels), np.array(groups)

@@ -31,7 +31,8 @@ TINY_INFORMATION = 1e-9
 def edge_shapes(information: Array) -> Array:
     """Return covariances (..., 6, 6) up to a factor: the mean information of each becomes 1."""
     mean = np.maximum(np.trace(information, axis1=-2, axis2=-1) / 6.0, np.finfo(float).tiny)
-    return np.linalg.inv(information / mean[..., None, None] + TINY_INFORMATION * np.eye(6))
+    scaled = information / mean[..., None, None] + TINY_INFORMATION * np.eye(6)
+    return np.asarray(np.linalg.inv(scaled))
 
 
 class EdgeColumns(NamedTuple):
@@ -82,16 +83,18 @@ class LoopLog:
         """Iterate over all edges."""
         return (self[number] for number in range(len(self)))
 
-    def append(self, loop: Loop) -> None:
-        """Add an edge."""
+    def append(self, loop: Loop) -> Array:
+        """Add an edge; return its covariance (6, 6) up to a factor (``edge_shapes``)."""
         number = len(self)
         kind, source = KINDS.index(EdgeKind(loop.kind)), SOURCES.index(CandidateSource(loop.source))
-        spread = edge_shapes(loop.information).diagonal().reshape(2, 3).sum(axis=1)
+        shape = edge_shapes(loop.information)
+        spread = shape.diagonal().reshape(2, 3).sum(axis=1)
         row = (loop.query_id, loop.match_id, loop.T_match_query[:3], kind, source, spread)
         self._rows.append(np.array(row, ROW))
         self._information[number] = loop.information
         for keyframe_id in (loop.query_id, loop.match_id):
             self._of_keyframe[keyframe_id] = (*self._of_keyframe.get(keyframe_id, ()), number)
+        return shape
 
     def of(self, keyframe_id: int) -> list[Loop]:
         """Return the edges between a keyframe and others that are all in use."""
