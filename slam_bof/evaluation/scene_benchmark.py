@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import joblib
 import numpy as np
@@ -33,6 +33,7 @@ __all__ = [
     "SceneResult",
     "compare_methods",
     "compare_named_methods",
+    "each_by_itself",
     "split_officially",
     "split_rooms",
     "split_sunrgbd",
@@ -43,6 +44,7 @@ TRAIN_SEED, TEST_SEED = 3000, 7000
 MAX_ROOMS = TEST_SEED - TRAIN_SEED
 
 Progress = Callable[[str, int, int], None]
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,15 +140,26 @@ def compare_named_methods(
     if n_jobs == 1:
         return compare_methods(split, methods, groups=groups, on_progress=on_progress)
     alone = partial(compare_named_methods, split, n_words=n_words, seed=seed, groups=groups)
-    jobs = [joblib.delayed(alone)([name]) for name in names]
     results: list[SceneResult] = []
     left_out: dict[str, str] = {}
-    found = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
-    for done, (of_method, without) in enumerate(found, start=1):
+    for of_method, without in each_by_itself(alone, names, n_jobs, on_progress):
         results += of_method
         left_out |= without
-        on_progress("Methods", done, len(names))
     return results, left_out
+
+
+def each_by_itself(
+    evaluate: Callable[[list[str]], Result],
+    names: Sequence[str],
+    n_jobs: int | None,
+    on_progress: Progress,
+) -> Iterator[Result]:
+    """Yield the result of each method, several of which are evaluated at a time by joblib."""
+    jobs = [joblib.delayed(evaluate)([name]) for name in names]
+    found = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
+    for done, result in enumerate(found, start=1):
+        yield result
+        on_progress("Methods", done, len(names))
 
 
 def split_officially(labels: Sequence[tuple[str, Path]], *, every: int = 1) -> Split:

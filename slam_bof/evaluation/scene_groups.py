@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
-import joblib
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.model_selection import StratifiedGroupKFold
@@ -20,7 +19,7 @@ from slam_bof.bof import PlaceParams, TfIdf, Vocabulary, count_words, descriptor
 from slam_bof.datasets import LabelledFrame, sequence_names
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.cost import Cost, one_thread
-from slam_bof.evaluation.scene_benchmark import SceneResult
+from slam_bof.evaluation.scene_benchmark import SceneResult, each_by_itself
 from slam_bof.evaluation.scene_metrics import scene_scores
 from slam_bof.scenes import (
     ConstellationClassifier,
@@ -138,12 +137,8 @@ def cross_validate_groups(
             n_words=n_words,
             seed=seed,
         )
-        jobs = [joblib.delayed(alone)([name]) for name in methods]
-        found: list[SceneResult] = []
-        for of_method in joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs):
-            found += of_method
-            on_progress("Methods", len(found), len(methods))
-        return found
+        found = each_by_itself(alone, methods, n_jobs, on_progress)
+        return [result for of_method in found for result in of_method]
     labels, groups = [frame.label for frame in frames], sequence_names(frames)
     classes = sorted(set(labels))
     y, g = np.array(labels), np.array(groups)
