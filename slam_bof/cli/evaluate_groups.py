@@ -33,6 +33,7 @@ class GroupOptions:
     share: float
     n_words: int
     seed: int
+    n_jobs: int | None
 
     def frames(self) -> list[LabelledFrame]:
         """Read the table; keep the classes asked for."""
@@ -69,6 +70,7 @@ def cross_validate(options: GroupOptions, out: Path | None, *, as_json: bool, qu
             share=options.share,
             n_words=options.n_words,
             seed=options.seed,
+            n_jobs=options.n_jobs,
             on_progress=bars.show,
         )
     n_groups = len({frame.group for frame in frames})

@@ -68,6 +68,17 @@ SCHEDULER = Annotated[
         help="Process several sequences on the Dask cluster of this scheduler (extra dask).",
     ),
 ]
+METHOD_JOBS = Annotated[
+    int, typer.Option("--jobs", "-j", min=1, help="Number of methods evaluated at a time.")
+]
+METHOD_SCHEDULER = Annotated[
+    str | None,
+    typer.Option(
+        "--scheduler",
+        metavar="tcp://HOST:PORT",
+        help="Evaluate each method on the Dask cluster of this scheduler (extra dask).",
+    ),
+]
 JSON = Annotated[bool, typer.Option("--json", help="Print JSON and nothing else.")]
 QUIET = Annotated[bool, typer.Option("--quiet", "-q", help="Show no progress.")]
 SET = Annotated[

@@ -49,6 +49,7 @@ from .retrieval_metrics import (
 from .scene_benchmark import (
     SceneResult as SceneResult,
     compare_methods as compare_methods,
+    compare_named_methods as compare_named_methods,
     split_officially as split_officially,
     split_rooms as split_rooms,
     split_sunrgbd as split_sunrgbd,

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import joblib
 import numpy as np
 
 from slam_bof.core import registry
@@ -20,7 +22,7 @@ from slam_bof.datasets import (
 )
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.cost import one_thread
-from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod
+from slam_bof.evaluation.scene_methods import DescriptorMethod, ModelMethod, make_methods
 from slam_bof.evaluation.scene_metrics import SceneScores, scene_scores
 from slam_bof.evaluation.scene_splits import Split
 from slam_bof.scenes import SvmParams, TrainingFrame, frame_groups
@@ -30,6 +32,8 @@ from slam_bof.types import Array
 __all__ = [
     "SceneResult",
     "compare_methods",
+    "compare_named_methods",
+    "each_by_itself",
     "split_officially",
     "split_rooms",
     "split_sunrgbd",
@@ -40,6 +44,7 @@ TRAIN_SEED, TEST_SEED = 3000, 7000
 MAX_ROOMS = TEST_SEED - TRAIN_SEED
 
 Progress = Callable[[str, int, int], None]
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +118,48 @@ def compare_methods(
         frames = _read_training(split.train, sequences, evaluated, on_progress)
         fitted = _fit(frames, split.train, groups, evaluated, left_out, on_progress)
         return _test(split, fitted, on_progress), left_out
+
+
+def compare_named_methods(
+    split: Split,
+    names: Sequence[str],
+    *,
+    n_words: int = 1024,
+    seed: int = 0,
+    groups: Sequence[str] | None = None,
+    n_jobs: int | None = 1,
+    on_progress: Progress = lambda what, done, total: None,
+) -> tuple[list[SceneResult], dict[str, str]]:
+    """Make methods by name (``make_methods``) and compare them, several at a time if asked for.
+
+    Parameters and results are those of ``compare_methods``, and ``n_jobs`` is the number of methods
+    evaluated at a time, each in a process of its own that reads the frames again; None for that of
+    the cluster of ``core.on_cluster``. But for times, the results do not depend on it.
+    """
+    methods = make_methods(names, n_words=n_words, seed=seed)
+    if n_jobs == 1:
+        return compare_methods(split, methods, groups=groups, on_progress=on_progress)
+    alone = partial(compare_named_methods, split, n_words=n_words, seed=seed, groups=groups)
+    results: list[SceneResult] = []
+    left_out: dict[str, str] = {}
+    for of_method, without in each_by_itself(alone, names, n_jobs, on_progress):
+        results += of_method
+        left_out |= without
+    return results, left_out
+
+
+def each_by_itself(
+    evaluate: Callable[[list[str]], Result],
+    names: Sequence[str],
+    n_jobs: int | None,
+    on_progress: Progress,
+) -> Iterator[Result]:
+    """Yield the result of each method, several of which are evaluated at a time by joblib."""
+    jobs = [joblib.delayed(evaluate)([name]) for name in names]
+    found = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
+    for done, result in enumerate(found, start=1):
+        yield result
+        on_progress("Methods", done, len(names))
 
 
 def split_officially(labels: Sequence[tuple[str, Path]], *, every: int = 1) -> Split:

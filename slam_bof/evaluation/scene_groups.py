@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from slam_bof.bof import PlaceParams, TfIdf, Vocabulary, count_words, descriptor
 from slam_bof.datasets import LabelledFrame, sequence_names
 from slam_bof.errors import DatasetError
 from slam_bof.evaluation.cost import Cost, one_thread
-from slam_bof.evaluation.scene_benchmark import SceneResult
+from slam_bof.evaluation.scene_benchmark import SceneResult, each_by_itself
 from slam_bof.evaluation.scene_metrics import scene_scores
 from slam_bof.scenes import (
     ConstellationClassifier,
@@ -89,6 +90,7 @@ def cross_validate_groups(
     share: float = 1.0,
     n_words: int = 1024,
     seed: int = 0,
+    n_jobs: int | None = 1,
     on_progress: Progress = lambda what, done, total: None,
 ) -> list[SceneResult]:
     """Test methods on groups that they were not trained with.
@@ -109,6 +111,8 @@ def cross_validate_groups(
         Words of the bags' vocabulary.
     seed
         Seed of folds, copies and classifiers.
+    n_jobs
+        Number of methods evaluated at a time; see ``compare_named_methods``.
 
     Returns
     -------
@@ -122,6 +126,19 @@ def cross_validate_groups(
     """
     check_groups(frames, n_folds)
     made = [_make(name, n_words, seed) for name in methods]
+    if n_jobs != 1:
+        alone = partial(
+            cross_validate_groups,
+            frames,
+            n_folds=n_folds,
+            n_repeats=n_repeats,
+            n_copies=n_copies,
+            share=share,
+            n_words=n_words,
+            seed=seed,
+        )
+        found = each_by_itself(alone, methods, n_jobs, on_progress)
+        return [result for of_method in found for result in of_method]
     labels, groups = [frame.label for frame in frames], sequence_names(frames)
     classes = sorted(set(labels))
     y, g = np.array(labels), np.array(groups)

@@ -9,6 +9,9 @@ from .camera import (
     project as project,
     ray_slopes as ray_slopes,
 )
+from .compilation import (
+    compile_alignment as compile_alignment,
+)
 from .depth_view import (
     DepthView as DepthView,
     make_rough_view as make_rough_view,
@@ -35,6 +38,7 @@ from .gravity import (
     level_frame as level_frame,
 )
 from .observability import (
+    N_SEARCH_STAGES as N_SEARCH_STAGES,
     PrincipalDirections as PrincipalDirections,
     open_directions as open_directions,
     search_weak_directions as search_weak_directions,
@@ -42,7 +46,6 @@ from .observability import (
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
     ViewAligner as ViewAligner,
-    compile_alignment as compile_alignment,
 )
 from .registration_quality import (
     RegistrationQualityParams as RegistrationQualityParams,

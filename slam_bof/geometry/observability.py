@@ -8,6 +8,7 @@ alignment says nothing along it.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,12 @@ from slam_bof.geometry.point_to_plane import fill_derivative
 from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.types import Array, Pose
 
-__all__ = ["PrincipalDirections", "open_directions", "search_weak_directions"]
+__all__ = [
+    "N_SEARCH_STAGES",
+    "PrincipalDirections",
+    "open_directions",
+    "search_weak_directions",
+]
 
 MAX_WEAK_INFORMATION = 0.04
 """Share of the points' information below which a direction is weakly held."""
@@ -32,6 +38,8 @@ MIN_VISIBLE_SHARE = 0.8
 """Another pose must keep this share of the overlap, because a small overlap agrees by chance."""
 SEARCH_ROUNDS = ((64, 0.15, 4), (32, 0.06, 2))
 """Number of poses tried in a round, their spread in m, and the number refined of them."""
+N_SEARCH_STAGES = 1 + len(SEARCH_ROUNDS)
+"""A search tries the starts it is given, and then each round."""
 OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
 MAX_WEAK_AXES = 4
@@ -180,12 +188,19 @@ def open_directions(
 
 
 def search_weak_directions(
-    aligner: ViewAligner, query: int, match: int, T_match_query: Pose, starts: Array, *, seed: int
+    aligner: ViewAligner,
+    query: int,
+    match: int,
+    T_match_query: Pose,
+    starts: Array,
+    *,
+    seed: int,
+    stages: Collection[int] = range(N_SEARCH_STAGES),
 ) -> Pose:
     """Search for a pose (4, 4) that agrees better; return ``T_match_query`` if there is none.
 
-    Alignment starts again from ``starts`` (n, 4, 4), and then from random poses along the weakly
-    held directions of the best pose so far.
+    Alignment starts again from ``starts`` (n, 4, 4), which is stage 0, and then from random poses
+    along the weakly held directions of the best pose so far, a round in each further stage.
     """
     rng = np.random.default_rng(seed)
     best = T_match_query
@@ -203,9 +218,11 @@ def search_weak_directions(
         if score[k] > best_score + MIN_SCORE_GAIN:
             best, best_score = T[k], score[k]
 
-    if len(starts):
+    if len(starts) and 0 in stages:
         take_better(starts)
-    for n, sigma_m, n_best in SEARCH_ROUNDS:
+    for stage, (n, sigma_m, n_best) in enumerate(SEARCH_ROUNDS, 1):
+        if stage not in stages:
+            continue
         (pairs,) = aligner.surface_pairs(query, np.array([match]), best[None])
         directions = PrincipalDirections.of(pairs)
         if directions is None:

@@ -149,19 +149,15 @@ def _solve_step(pairs: Array, gate_m: float) -> Array:
             centre[i] += weights[k] * pairs[k, i]
             square += weights[k] * pairs[k, i] * pairs[k, i]
     radius_m = np.sqrt(max(square - (centre * centre).sum(), 1e-4))
-    # Sums are written out: the last digits of BLAS depend on where the arrays lie in memory.
-    products = np.zeros((6, 7))
-    instrument, row = np.empty(6), np.empty(7)
+    rows_query, rows_match = np.empty((len(pairs), 6)), np.empty((len(pairs), 7))
     for k in range(len(pairs)):
         x = (pairs[k, 0] - centre[0]) / radius_m
         y = (pairs[k, 1] - centre[1]) / radius_m
         z = (pairs[k, 2] - centre[2]) / radius_m
-        fill_derivative(instrument, x, y, z, pairs[k, 3:6], weights[k])
-        fill_derivative(row, x, y, z, pairs[k, 6:9], 1.0)
-        row[6] = pairs[k, 9]
-        for i in range(6):
-            for j in range(7):
-                products[i, j] += instrument[i] * row[j]
+        fill_derivative(rows_query[k], x, y, z, pairs[k, 3:6], weights[k])
+        fill_derivative(rows_match[k], x, y, z, pairs[k, 6:9], 1.0)
+        rows_match[k, 6] = pairs[k, 9]
+    products = _products(rows_query, rows_match)
     symmetric = 0.5 * (products[:, :6] + products[:, :6].T)
     values, vectors = np.linalg.eigh(symmetric)
     for j in range(6):
@@ -177,6 +173,29 @@ def _solve_step(pairs: Array, gate_m: float) -> Array:
     step[4] += centre[2] * step[0] - centre[0] * step[2]
     step[5] += centre[0] * step[1] - centre[1] * step[0]
     return step
+
+
+@compiled
+def _products(a: Array, b: Array) -> Array:
+    """Return a'b (6, 7) of rows (m, 6) and (m, 7).
+
+    Sums are written out, since the last digits of BLAS depend on where the arrays lie in memory.
+    Seven at a time remain in registers.
+    """
+    products = np.empty((6, 7))
+    for i in range(6):
+        s0 = s1 = s2 = s3 = s4 = s5 = s6 = 0.0
+        for k in range(len(a)):
+            s0 += a[k, i] * b[k, 0]
+            s1 += a[k, i] * b[k, 1]
+            s2 += a[k, i] * b[k, 2]
+            s3 += a[k, i] * b[k, 3]
+            s4 += a[k, i] * b[k, 4]
+            s5 += a[k, i] * b[k, 5]
+            s6 += a[k, i] * b[k, 6]
+        products[i, 0], products[i, 1], products[i, 2], products[i, 3] = s0, s1, s2, s3
+        products[i, 4], products[i, 5], products[i, 6] = s4, s5, s6
+    return products
 
 
 @compiled

@@ -17,6 +17,7 @@ __all__ = [
     "interpolated_depth",
     "nearest_pixel",
     "project",
+    "sampled_by_axis",
 ]
 
 NORMAL_STEPS = 127
@@ -36,6 +37,8 @@ class ViewArrays(NamedTuple):
     """(n, height * width), 0 where unknown."""
     normals: NDArray[np.int8]
     """(n, height * width, 3), in steps, 0 where unknown."""
+    sampled: NDArray[np.int32]
+    """(n, n_points), a random choice of the pixels whose depth is known."""
     rays: NDArray[np.float32]
     """(height * width, 3), with z = 1."""
     width: int
@@ -52,6 +55,18 @@ def by_axis(points: NDArray[np.floating[Any]]) -> Array:
     axes = np.empty((3, len(points)))
     for i in range(len(points)):
         axes[0, i], axes[1, i], axes[2, i] = points[i, 0], points[i, 1], points[i, 2]
+    return axes
+
+
+@compiled
+def sampled_by_axis(views: ViewArrays, row: int, n_points: int) -> Array:
+    """Return the first sampled points of a view as ``project`` takes them, (3, n_points)."""
+    axes = np.empty((3, n_points))
+    for i in range(n_points):
+        pixel = views.sampled[row, i]
+        depth_m = views.depths_m[row, pixel]
+        for axis in range(3):
+            axes[axis, i] = views.rays[pixel, axis] * depth_m
     return axes
 
 

@@ -8,16 +8,14 @@ starting poses, scored by few points, is followed by point-to-plane ICP with pro
 
 from __future__ import annotations
 
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from slam_bof.core import find_kept
 from slam_bof.geometry import se3
-from slam_bof.geometry.depth_view import DepthView, make_view
+from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.point_to_plane import associate, refine
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
@@ -30,9 +28,9 @@ from slam_bof.geometry.visibility import (
     coverage,
     score_poses,
 )
-from slam_bof.types import Array, DepthFrame, Intrinsics, Params
+from slam_bof.types import Array, Params
 
-__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner", "compile_alignment"]
+__all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
 
 ORBIT_M = 2.0
 """Half of the random motions turn about a point this far ahead, so that it stays in view."""
@@ -129,6 +127,11 @@ class ViewAligner:
         self.params = params
         self._views = ViewStack(params.n_points, seed=seed)
         self._motions = _random_motions(params, seed)
+        # Of each iteration of ICP:
+        is_fine = np.arange(params.n_iterations) >= params.n_iterations - params.n_fine_iterations
+        n_coarse_points = min(params.n_points, params.n_coarse_points)
+        self._gates_m = np.geomspace(*params.gates_m, params.n_iterations)
+        self._n_points = np.where(is_fine, params.n_points, n_coarse_points)
 
     def add(self, view: DepthView) -> None:
         """Hold another view; ids count from 0.
@@ -197,17 +200,15 @@ class ViewAligner:
         Starts are rounded to single precision: those that differ in the last digits, as in a map
         that was loaded again, end at the same pose.
         """
-        p = self.params
-        fine = np.arange(p.n_iterations) >= p.n_iterations - p.n_fine_iterations
         return refine(
             self._views.arrays(),
             self._views.rows(matches),
             *self._views.surface(query),
             se3.nearest_pose(T_match_query.astype(np.float32)),
-            np.geomspace(*p.gates_m, p.n_iterations),
-            np.where(fine, p.n_points, min(p.n_points, p.n_coarse_points)),
-            p.min_step,
-            p.n_final_iterations,
+            self._gates_m,
+            self._n_points,
+            self.params.min_step,
+            self.params.n_final_iterations,
         )
 
     def surface_pairs(
@@ -257,25 +258,6 @@ class ViewAligner:
     def coverage(self, query: int, matches: Indices, T_match_query: Array) -> Coverage:
         """Measure how far the query agrees with all matches (n,) together at poses (n, 4, 4)."""
         return coverage(self._views, query, matches, T_match_query, self.params.tolerance)
-
-
-@cache
-def compile_alignment() -> str:
-    """Compile alignment, or load it from the disk, before a first frame would wait for it.
-
-    Returns the folder in which the code is kept, empty if every process compiles anew.
-    """
-    aligner = ViewAligner(AlignmentParams())
-    camera = Intrinsics(32, 24, 28.0, 28.0, 15.5, 11.5)
-    wall = DepthFrame(0.0, np.full((camera.height, camera.width), 2.0, np.float32), camera)
-    for _ in range(2):
-        aligner.add(make_view(wall))
-    matches, T = np.array([0]), np.eye(4)[None]
-    aligner.align(1, matches, T[None])
-    aligner.agreement(1, matches, T)
-    aligner.agreement_score(1, matches, T)
-    aligner.surface_pairs(1, matches, T)
-    return find_kept(refine)
 
 
 def _random_motions(params: AlignmentParams, seed: int) -> list[Array]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.core import GrowingArray
+from slam_bof.core import GrowingArray, compiled
 from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.projection import NORMAL_STEPS, ViewArrays
 from slam_bof.types import Intrinsics
@@ -59,13 +59,14 @@ class ViewStack:
             self._order = np.random.default_rng(self._seed).permutation(n_pixels)
         if view.intrinsics != self._camera:
             raise ValueError(f"views must be of {self._camera}, got {view.intrinsics}")
-        normals = view.normals_camera.reshape(-1, 3)
+        depth_m = np.ascontiguousarray(view.depth_m).reshape(-1)
+        normals = np.ascontiguousarray(view.normals_camera).reshape(-1, 3)
         row = self._free_rows.pop() if self._free_rows else len(self._depths_m)
         for stack, values in (
-            (self._depths_m, view.depth_m.reshape(-1)),
+            (self._depths_m, depth_m),
             (self._normals, np.rint(normals * NORMAL_STEPS)),
-            (self._sampled, self._sample(view.depth_m.reshape(-1) > 0)),
-            (self._surface, self._sample(np.asarray(normals.any(axis=1)))),
+            (self._sampled, _sample(depth_m[:, None], self._order, self.n_points)),
+            (self._surface, _sample(normals, self._order, self.n_points)),
         ):
             if row == len(stack):
                 stack.append(values)
@@ -134,6 +135,7 @@ class ViewStack:
         return ViewArrays(
             depths_m=self._depths_m.rows,
             normals=self._normals.rows,
+            sampled=self._sampled.rows,
             rays=self._rays,
             width=camera.width,
             height=camera.height,
@@ -155,7 +157,24 @@ class ViewStack:
         depth_m = self._depths_m.rows.reshape(-1).take(addresses)
         return np.asarray(self._rays.take(pixels, axis=0) * depth_m[..., None])
 
-    def _sample(self, is_valid: NDArray[np.bool_]) -> Indices:
-        """Draw ``n_points`` valid pixels, with repetition if they are too few; any if none is."""
-        chosen = self._order[is_valid[self._order]]
-        return np.resize(chosen if len(chosen) else self._order, self.n_points)
+
+@compiled
+def _sample(known: Floats, order: Indices, n_points: int) -> NDArray[np.int32]:
+    """Return the first ``n_points`` pixels of an order at which anything is known, not 0.
+
+    ``known`` is (pixels, n). They are repeated if they are too few; any are taken if there is none.
+    """
+    chosen = np.empty(n_points, np.int32)
+    n = 0
+    for pixel in order:
+        if n == n_points:
+            break
+        if known[pixel].any():
+            chosen[n] = pixel
+            n += 1
+    if n == 0:
+        n = min(n_points, len(order))
+        chosen[:n] = order[:n]
+    for k in range(n, n_points):
+        chosen[k] = chosen[k - n]
+    return chosen

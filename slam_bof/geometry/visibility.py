@@ -20,6 +20,7 @@ from slam_bof.geometry.projection import (
     interpolated_depth,
     nearest_pixel,
     project,
+    sampled_by_axis,
 )
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.types import Array
@@ -157,45 +158,59 @@ def agreement_score(
     views: ViewStack, query: int, matches: Indices, T_match_query: Array
 ) -> AgreementScore:
     """Score poses (n, 4, 4) of the query in the matches (n,), to choose between nearby poses."""
-    arrays = views.arrays()
-    own, theirs = views.sampled(query, N_SCORE_POINTS), views.sampled(matches, N_SCORE_POINTS)
-    asked = np.full(len(matches), views.rows(query))
     T_match_query = np.ascontiguousarray(T_match_query, np.float64)
-    worth, n_visible = _worth(arrays, views.rows(matches), own[None], T_match_query)
-    worth_back, n_visible_back = _worth(arrays, asked, theirs, se3.inverse(T_match_query))
-    score = (worth + worth_back) / np.maximum(n_visible + n_visible_back, 1)
-    visible_ratio = np.minimum(n_visible, n_visible_back) / len(own)
-    return AgreementScore(score, visible_ratio)
+    return AgreementScore(
+        *_score(
+            views.arrays(),
+            int(views.rows(query)),
+            views.rows(matches),
+            T_match_query,
+            se3.inverse(T_match_query),
+            min(N_SCORE_POINTS, views.n_points),
+        )
+    )
 
 
 @compiled
-def _worth(
-    views: ViewArrays, rows: Indices, points: Floats, T: Array
-) -> tuple[Array, NDArray[np.intp]]:
-    """Return the worth of points (1 or n, m, 3) at poses (n, 4, 4), and how many are compared.
+def _score(
+    views: ViewArrays, query: int, matches: Indices, T: Array, T_back: Array, n_points: int
+) -> tuple[Array, Array]:
+    """Return score and visible ratio, each (n,), of rows of views at poses and their inverses."""
+    score, visible_ratio = np.empty(len(matches)), np.empty(len(matches))
+    own = sampled_by_axis(views, query, n_points)
+    for k in range(len(matches)):
+        theirs = sampled_by_axis(views, matches[k], n_points)
+        worth, n_visible = _worth(views, matches[k], own, T[k])
+        worth_back, n_visible_back = _worth(views, query, theirs, T_back[k])
+        score[k] = (worth + worth_back) / max(n_visible + n_visible_back, 1)
+        visible_ratio[k] = min(n_visible, n_visible_back) / n_points
+    return score, visible_ratio
+
+
+@compiled
+def _worth(views: ViewArrays, row: int, points: Array, T: Array) -> tuple[float, int]:
+    """Return the worth of points (3, m) at a pose in a view, and how many are compared.
 
     An inlier counts 1, a violation of free space -0.5; the mean over several tolerances.
     """
-    worth = np.zeros(len(rows))
-    n_visible = np.zeros(len(rows), np.intp)
-    found = np.empty((3, points.shape[1]))
-    for k in range(len(rows)):
-        project(views, T[k], by_axis(points[min(k, len(points) - 1)]), found)
-        for i in range(found.shape[1]):
-            depth_m = found[2, i]
-            if depth_m == 0.0:
-                continue
-            there_m = interpolated_depth(views, rows[k], found[0, i], found[1, i])
-            if not there_m > 0.0:
-                continue
-            n_visible[k] += 1
-            off_m = depth_m - there_m
-            for fixed_m, share in SCORE_TOLERANCES:
-                allowed_m = fixed_m + share * depth_m
-                if abs(off_m) < allowed_m:
-                    worth[k] += 1.0 / len(SCORE_TOLERANCES)
-                elif off_m < 0.0:
-                    worth[k] -= 0.5 / len(SCORE_TOLERANCES)
+    worth, n_visible = 0.0, 0
+    found = np.empty_like(points)
+    project(views, T, points, found)
+    for i in range(found.shape[1]):
+        depth_m = found[2, i]
+        if depth_m == 0.0:
+            continue
+        there_m = interpolated_depth(views, row, found[0, i], found[1, i])
+        if not there_m > 0.0:
+            continue
+        n_visible += 1
+        off_m = depth_m - there_m
+        for fixed_m, share in SCORE_TOLERANCES:
+            allowed_m = fixed_m + share * depth_m
+            if abs(off_m) < allowed_m:
+                worth += 1.0 / len(SCORE_TOLERANCES)
+            elif off_m < 0.0:
+                worth -= 0.5 / len(SCORE_TOLERANCES)
     return worth, n_visible
 
 

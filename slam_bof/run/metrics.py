@@ -136,7 +136,9 @@ def uncertainty_metrics(
         se3.inverse(truth[0]) @ truth[others],
         closer.map.covariances()[others],
     )
-    edge_nees = evaluation.nees(T_match_query, true_edges, closer.map.edge_covariances(loops))
+    edge_nees = evaluation.nees(
+        T_match_query, true_edges, closer.map.graph.uncertainty.of_edges(loops)
+    )
     return dict(zip(names, (keyframe_nees, edge_nees), strict=True))
 
 

@@ -57,7 +57,7 @@ def write_outputs(
     )
     _write_audit_trail(folder / "loops.csv", record.candidates, result.keyframes, components)
     with keep_going("pose_graph.g2o", warn):
-        record.closer.map.backend.write_g2o(folder / "pose_graph.g2o")
+        record.closer.map.graph.backend.write_g2o(folder / "pose_graph.g2o")
     with keep_going("map.ply", warn):
         inside = components == largest_component(components)
         shown = [index for index, is_shown in zip(frame_indices, inside, strict=True) if is_shown]

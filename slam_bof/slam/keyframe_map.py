@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -25,7 +25,6 @@ from slam_bof.loops import (
     Verified,
     choose_covisible,
 )
-from slam_bof.ports import Backend
 from slam_bof.scenes import SceneFilter, model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_culling import KeyframeCulling
@@ -123,11 +122,6 @@ class KeyframeMap:
         return self.keyframes[self.first_keyframe :]
 
     @property
-    def backend(self) -> Backend:
-        """The pose graph's back-end."""
-        return self.graph.backend
-
-    @property
     def loops(self) -> list[Loop]:
         """The loop and covisibility edges of the pose graph."""
         return self.graph.loops
@@ -144,10 +138,6 @@ class KeyframeMap:
     def covariances(self) -> Array:
         """Return the covariance (K, 6, 6) of every keyframe; see ``MapUncertainty.covariances``."""
         return self.graph.covariances()
-
-    def edge_covariances(self, loops: Sequence[Loop]) -> Array:
-        """Return the covariance (L, 6, 6) of edges; see ``MapUncertainty.of_edges``."""
-        return self.graph.uncertainty.of_edges(loops)
 
     def uncertainty(self) -> PoseUncertainty:
         """Return how uncertain the pose of the newest keyframe is."""

@@ -31,7 +31,8 @@ TINY_INFORMATION = 1e-9
 def edge_shapes(information: Array) -> Array:
     """Return covariances (..., 6, 6) up to a factor: the mean information of each becomes 1."""
     mean = np.maximum(np.trace(information, axis1=-2, axis2=-1) / 6.0, np.finfo(float).tiny)
-    return np.linalg.inv(information / mean[..., None, None] + TINY_INFORMATION * np.eye(6))
+    scaled = information / mean[..., None, None] + TINY_INFORMATION * np.eye(6)
+    return np.asarray(np.linalg.inv(scaled))
 
 
 class EdgeColumns(NamedTuple):
@@ -59,6 +60,7 @@ class LoopLog:
         self._rows = GrowingArray((), ROW)
         self._information: dict[int, Array] = {}
         self._of_keyframe: dict[int, tuple[int, ...]] = {}
+        self._edges: EdgeColumns | None = None  # those in use, until there are others
 
     def __len__(self) -> int:
         """Return the number of edges."""
@@ -82,16 +84,18 @@ class LoopLog:
         """Iterate over all edges."""
         return (self[number] for number in range(len(self)))
 
-    def append(self, loop: Loop) -> None:
-        """Add an edge."""
-        number = len(self)
+    def append(self, loop: Loop) -> Array:
+        """Add an edge; return its covariance (6, 6) up to a factor (``edge_shapes``)."""
+        number, self._edges = len(self), None
         kind, source = KINDS.index(EdgeKind(loop.kind)), SOURCES.index(CandidateSource(loop.source))
-        spread = edge_shapes(loop.information).diagonal().reshape(2, 3).sum(axis=1)
+        shape = edge_shapes(loop.information)
+        spread = shape.diagonal().reshape(2, 3).sum(axis=1)
         row = (loop.query_id, loop.match_id, loop.T_match_query[:3], kind, source, spread)
         self._rows.append(np.array(row, ROW))
         self._information[number] = loop.information
         for keyframe_id in (loop.query_id, loop.match_id):
             self._of_keyframe[keyframe_id] = (*self._of_keyframe.get(keyframe_id, ()), number)
+        return shape
 
     def of(self, keyframe_id: int) -> list[Loop]:
         """Return the edges between a keyframe and others that are all in use."""
@@ -99,15 +103,19 @@ class LoopLog:
 
     def edges(self) -> EdgeColumns:
         """Return the edges in use."""
-        numbers = np.fromiter(self._information, np.intp, len(self._information))
-        rows = self._rows.rows[numbers]
-        lengths_m = np.linalg.norm(rows["T_match_query"][:, :, 3], axis=1)
-        return EdgeColumns(numbers, rows["match_id"], rows["query_id"], lengths_m, rows["spread"])
+        if self._edges is None:
+            numbers = np.fromiter(self._information, np.intp, len(self._information))
+            rows = self._rows.rows[numbers]
+            lengths_m = np.linalg.norm(rows["T_match_query"][:, :, 3], axis=1)
+            self._edges = EdgeColumns(
+                numbers, rows["match_id"], rows["query_id"], lengths_m, rows["spread"]
+            )
+        return self._edges
 
     def cull(self, keyframe_ids: Collection[int]) -> None:
         """Drop what the edges of culled keyframes no longer need."""
         gone = {k for keyframe_id in keyframe_ids for k in self._of_keyframe.pop(keyframe_id, ())}
-        rows, touched = self._rows.rows, set()
+        rows, touched, self._edges = self._rows.rows, set(), None
         for number in gone:
             del self._information[number]
             touched |= {int(rows["query_id"][number]), int(rows["match_id"][number])}

@@ -75,11 +75,14 @@ class PoseUncertainty:
 
 
 class MapUncertainty:
-    """Takes the keyframes of a map and the edges of its log, and knows the covariance of poses."""
+    """Takes the keyframes of a map and the edges of its log, and knows the covariance of poses.
+
+    ``keyframes`` are those in use by id, in order.
+    """
 
     def __init__(self, log: LoopLog) -> None:
         self._log = log
-        self._keyframes: dict[int, Keyframe] = {}
+        self.keyframes: dict[int, Keyframe] = {}
         self._noise: dict[int, OdometryNoise] = {}
 
     @classmethod
@@ -89,25 +92,21 @@ class MapUncertainty:
         known = cls(log)
         for keyframe in keyframes:
             known.add_keyframe(keyframe)
-        for loop in loops:
-            log.append(loop)
-        known.learn(range(len(log)))
+        known.learn([(loop, log.append(loop)) for loop in loops])
         return known
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Add a keyframe."""
-        self._keyframes[keyframe.id] = keyframe
+        self.keyframes[keyframe.id] = keyframe
         noise = self._noise.setdefault(keyframe.session, OdometryNoise())
         noise.is_given |= keyframe.step_covariance is not None
         if keyframe.T_odom_raw is not None:
             noise.add_keyframe(keyframe.id, keyframe.T_odom_raw)
 
-    def learn(self, numbers: Iterable[int]) -> None:
-        """Learn from edges of the log, as far as they are of one uninterrupted track each."""
-        loops = [self._log[number] for number in numbers]
-        shapes = edge_shapes(np.array([loop.information for loop in loops]).reshape(-1, 6, 6))
-        for loop, shape in zip(loops, shapes, strict=True):
-            match, query = self._keyframes[loop.match_id], self._keyframes[loop.query_id]
+    def learn(self, edges: Iterable[tuple[Loop, Array]]) -> None:
+        """Learn from edges with their ``edge_shapes``, if they are of one uninterrupted track."""
+        for loop, shape in edges:
+            match, query = self.keyframes[loop.match_id], self.keyframes[loop.query_id]
             if match.segment == query.segment and loop.kind != EdgeKind.PARTIAL:
                 self._noise[query.session].add_edge(
                     loop.match_id, loop.query_id, loop.T_match_query, shape
@@ -117,7 +116,7 @@ class MapUncertainty:
 
     def forget(self, keyframe_id: int) -> None:
         """Forget a culled keyframe; what was learnt from it stays."""
-        self._noise[self._keyframes.pop(keyframe_id).session].forget(keyframe_id)
+        self._noise[self.keyframes.pop(keyframe_id).session].forget(keyframe_id)
 
     def odometry(self, session: int) -> OdometryNoise | None:
         """Return what is known of the odometry of a session."""
@@ -164,7 +163,7 @@ class MapUncertainty:
             path.append(int(before[path[-1]]))
         covariance = self._covariances(links, path[:-1], before, T_map_camera).sum(axis=0)
         covariance = _in_camera(covariance, T_map_camera[newest])
-        return PoseUncertainty(self._keyframes[newest], covariance, self.edge_variances())
+        return PoseUncertainty(self.keyframes[newest], covariance, self.edge_variances())
 
     def covariances(self, components: NDArray[np.int64], T_map_camera: Array) -> Array:
         """Return the covariance (K, 6, 6) of the pose of each keyframe in the map.
@@ -199,7 +198,7 @@ class MapUncertainty:
 
         The edges in use come first, then the steps from each keyframe in use to the next.
         """
-        keyframes, edges = list(self._keyframes.values()), self._log.edges()
+        keyframes, edges = list(self.keyframes.values()), self._log.edges()
         usual = {session: 3.0 * self._step_variances(session).sum() for session in self._noise}
         steps = [
             (a.id, b.id, _step_variance(a, b, usual[b.session]))
@@ -228,7 +227,7 @@ class MapUncertainty:
                 edges[row], ends[row] = loop, loop.query_id
             else:
                 older, newer = sorted((int(before[key]), key))
-                a, b = self._keyframes[older], self._keyframes[newer]
+                a, b = self.keyframes[older], self.keyframes[newer]
                 made[row] = _step_covariance(a, b, self._step_variances(b.session))
                 ends[row] = newer
         if edges:

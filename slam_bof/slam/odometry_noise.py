@@ -155,7 +155,7 @@ class OdometryNoise:
 
     def usual_step(self) -> Array:
         """Return by how much (2,) odometry usually differs from an edge of one step, rad and m."""
-        return np.sqrt(np.median(list(self._off_steps), axis=0))
+        return np.asarray(np.sqrt(np.median(list(self._off_steps), axis=0)))
 
     @property
     def closures(self) -> list[float]:

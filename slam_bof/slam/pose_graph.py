@@ -62,7 +62,6 @@ class MapGraph:
         self._anchors = GrowingArray((), np.int64)
         self._T_anchor_keyframe = GrowingArray((4, 4), np.float64)
         self._travelled_m = GrowingArray((), np.float64)
-        self._keyframes: dict[int, Keyframe] = {}
 
     @property
     def loops(self) -> list[Loop]:
@@ -83,7 +82,6 @@ class MapGraph:
         """Add a node where odometry has it from the one before."""
         self.backend.add_keyframe(keyframe)
         self.components.add(keyframe.segment)
-        self._keyframes[keyframe.id] = keyframe
         self.uncertainty.add_keyframe(keyframe)
         self.in_use = np.append(self.in_use, keyframe.id)
         self._T_map_camera.append(np.eye(4))
@@ -94,12 +92,12 @@ class MapGraph:
 
     def add_loops(self, loops: Iterable[Loop]) -> None:
         """Add the edges that came with the newest keyframe, and bring the map up to date."""
-        n_before = len(self.log)
+        edges = []
         for loop in loops:
             self._join(loop)
             self.backend.add_loop(loop)
-            self.log.append(loop)
-        self.uncertainty.learn(range(n_before, len(self.log)))
+            edges.append((loop, self.log.append(loop)))
+        self.uncertainty.learn(edges)
         self.backend.update()
         self._refresh()
 
@@ -117,7 +115,6 @@ class MapGraph:
         self.components.cull(culled)
         self.log.cull(culled)
         for keyframe_id in culled:
-            self._keyframes.pop(keyframe_id)
             self.uncertainty.forget(keyframe_id)
         self.in_use = self.in_use[~np.isin(self.in_use, culled)]
         self._refresh()
@@ -213,11 +210,11 @@ class MapGraph:
     def _choose_odometry(self) -> None:
         """Let the steps of each session be as precise as odometry and tracking are together."""
         for noise in self.uncertainty.sessions.values():
-            keyframes = [self._keyframes[k] for k in self.in_use]
-            ids = [k.id for k in keyframes if k.id in noise.T_odom_camera]
+            keyframes = self.uncertainty.keyframes
+            ids = [k for k in keyframes if k in noise.T_odom_camera]
             if not ids:
                 continue
-            tracked = np.array([self._keyframes[k].T_odom_camera for k in ids])
+            tracked = np.array([keyframes[k].T_odom_camera for k in ids])
             sigmas = noise.relative_sigmas()
             if sigmas is not None:
                 by_odometry = np.array([noise.T_odom_camera[k] for k in ids])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from slam_bof.geometry import (
+    N_SEARCH_STAGES,
     DepthView,
     ViewAligner,
     make_view,
@@ -89,6 +91,7 @@ class FrameFinder:
         self._reference_inlier_ratio = float("nan")
         self._reference_score = float("nan")
         self._reference_violation = 0.0
+        self._n_searches = 0  # for a better pose, if they are spread over frames
 
     @property
     def sees_enough(self) -> bool:
@@ -161,7 +164,9 @@ class FrameFinder:
     def state(self) -> dict[str, Any]:
         """Return what is usual, as JSON has it."""
         ratio, score = self._reference_inlier_ratio, self._reference_score
+        spread = {"n_searches": self._n_searches} if self.params.spread_search else {}
         return {
+            **spread,
             "usual": None if np.isnan(ratio) else ratio,
             "usual_score": None if np.isnan(score) else score,
             "usual_violation": self._reference_violation,
@@ -174,6 +179,7 @@ class FrameFinder:
         self._reference_inlier_ratio = float("nan") if ratio is None else ratio
         self._reference_score = float("nan") if score is None else score
         self._reference_violation = state.get("usual_violation", 0.0)
+        self._n_searches = state.get("n_searches", 0)
 
     def _learn(self, registration: _Registration) -> None:
         """Learn what is usual."""
@@ -253,7 +259,13 @@ class FrameFinder:
             step = se3.inverse(recent.T_before) @ recent.T_last
             starts = np.stack([T_view_last, T_view_last @ step])
             T_view_frame = search_weak_directions(
-                self._aligner, FRAME, view_id, T_view_frame, starts, seed=self._seed
+                self._aligner,
+                FRAME,
+                view_id,
+                T_view_frame,
+                starts,
+                seed=self._seed,
+                stages=self._next_stages(),
             )
             score = self._score(view_id, T_view_frame)
         if view_id == KEYFRAME:
@@ -261,6 +273,13 @@ class FrameFinder:
                 self._reference_score = score
             self._reference_score += FORGETTING * (score - self._reference_score)
         return T_view_frame
+
+    def _next_stages(self) -> Collection[int]:
+        """Return the stages of the search that are this frame's."""
+        if not self.params.spread_search:
+            return range(N_SEARCH_STAGES)
+        self._n_searches += 1
+        return [(self._n_searches - 1) % N_SEARCH_STAGES]
 
     def _score(self, view_id: int, T_view_frame: Pose) -> float:
         found = self._aligner.agreement_score(FRAME, np.array([view_id]), T_view_frame[None])

@@ -106,6 +106,8 @@ def cards(metrics: Metrics) -> str:
     ate = _write(metrics, "ate_m", "{:.3f} m")
     before = _note(metrics, "ate_odometry_m", "odometry alone: {:.3f} m")
     correct = _note(metrics, "loop_precision", "correct by ground truth: {:.0%}")
+    if metrics.get("n_loops") == 0:
+        correct = "none to compare with ground truth"
     headlines = [
         ("Trajectory error", ate, before),
         ("Loops accepted", _write(metrics, "n_loops", "{}"), correct),

@@ -15,6 +15,7 @@ from slam_bof.errors import DatasetError
 from slam_bof.evaluation import (
     Split,
     compare_methods,
+    compare_named_methods,
     make_methods,
     split_at_random,
     split_officially,
@@ -74,6 +75,20 @@ def test_methods_learn_the_same_and_are_judged_on_the_same(scenes: Path, tmp_pat
         "confusion_gist-depth_thumbnail.png",
     ]  # fmt: skip
     assert all(cv2.imread(str(picture)) is not None for picture in pictures)
+
+
+def test_methods_evaluated_two_at_a_time_give_the_same(scenes: Path) -> None:
+    split = split_officially([(label, scenes / label) for label in SIZES_M], every=3)
+    one, two = (
+        compare_named_methods(split, ["thumbnail", "sift", "bof"], n_words=8, n_jobs=n)
+        for n in (1, 2)
+    )
+    assert one[1] == two[1]
+    assert [result.method for result in two[0]] == ["thumbnail", "bof"]
+    for ours, theirs in zip(one[0], two[0], strict=True):
+        np.testing.assert_array_equal(ours.probabilities, theirs.probabilities)
+        assert (ours.true, ours.n_bytes) == (theirs.true, theirs.n_bytes)
+        assert theirs.train_s > 0.0
 
 
 def test_a_grid_search_chooses_on_the_training_frames_alone(scenes: Path) -> None:

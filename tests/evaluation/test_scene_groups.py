@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
+import joblib
 import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
@@ -72,6 +74,18 @@ def test_methods_are_tested_on_rooms_never_seen(frames: list[LabelledFrame]) -> 
         assert min(result.label_ms, result.n_bytes) > 0
     assert results[0].scores.accuracy > 0.9
     assert done[-1] == ("Testing", 4, 4)
+
+
+def test_methods_evaluated_two_at_a_time_give_the_same(frames: list[LabelledFrame]) -> None:
+    names = ["bag:linear", "bag:rbf"]
+    evaluate = partial(
+        cross_validate_groups, frames, names, n_folds=2, n_repeats=1, n_copies=1, n_words=8
+    )
+    with joblib.parallel_config(backend="threading"):  # processes are in test_scene_benchmark
+        one, two = evaluate(n_jobs=1), evaluate(n_jobs=2)
+    assert [result.method for result in two] == names
+    for ours, theirs in zip(one, two, strict=True):
+        np.testing.assert_array_equal(ours.probabilities, theirs.probabilities)
 
 
 def test_labels_that_say_nothing_about_new_rooms_are_no_better_than_chance(

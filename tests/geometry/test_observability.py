@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import (
+    N_SEARCH_STAGES,
     AlignmentParams,
     ViewAligner,
     make_view,
@@ -99,6 +100,18 @@ def test_a_wrong_minimum_on_a_floor_is_left_for_the_right_one():
     (stuck,) = aligner.refine(QUERY, np.array([MATCH]), wrong[None])
     found = search_weak_directions(aligner, QUERY, MATCH, stuck, wrong[None], seed=0)
     assert np.linalg.norm((se3.inverse(T) @ found)[:3, 3]) < 0.02
+    in_stages = stuck
+    for stage in range(N_SEARCH_STAGES):
+        in_stages = search_weak_directions(
+            aligner, QUERY, MATCH, in_stages, wrong[None], seed=0, stages=[stage]
+        )
+    assert np.linalg.norm((se3.inverse(T) @ in_stages)[:3, 3]) < 0.02
+    only_starts = search_weak_directions(
+        aligner, QUERY, MATCH, stuck, T[None], seed=0, stages=[N_SEARCH_STAGES - 1]
+    )
+    at_start = search_weak_directions(aligner, QUERY, MATCH, stuck, T[None], seed=0, stages=[0])
+    assert np.linalg.norm((se3.inverse(T) @ at_start)[:3, 3]) < 0.02
+    assert not np.array_equal(only_starts, at_start)
 
 
 def test_without_a_common_surface_nothing_is_known():

@@ -47,9 +47,7 @@ def store(turn, tmp_path_factory):
             closer.process(frame, se3.inverse(poses[0]) @ T)
         closer.finish()
         n = len(closer.map.keyframes)
-        result = SessionResult(
-            closer.frames_since_keyframe, closer.map.backend.poses(), [None] * n, []
-        )
+        result = SessionResult(closer.frames_since_keyframe, closer.map.poses(), [None] * n, [])
         store.finish(0, result)
         yield store
 

@@ -90,15 +90,15 @@ def test_an_interrupted_finish_can_be_called_again(walk):
 def test_a_frame_that_failed_changes_nothing(walk):
     """Tracking and recognition give the same bytes; iSAM2 has started afresh."""
     plain, failing = LoopCloser.from_preset(), LoopCloser.from_preset()
-    add_keyframe, n_failed = failing.map.backend.add_keyframe, 0
+    add_keyframe, n_failed = failing.map.graph.backend.add_keyframe, 0
     for k, (frame, T) in enumerate([*walk[:6], *walk[20:26]]):
         expected = plain.process(fresh(frame), T)
-        failing.map.backend.add_keyframe = lambda *_: 1 / 0
+        failing.map.graph.backend.add_keyframe = lambda *_: 1 / 0
         try:
             found = failing.process(fresh(frame), T)
         except ZeroDivisionError:
             n_failed += 1
-            failing.map.backend.add_keyframe = add_keyframe
+            failing.map.graph.backend.add_keyframe = add_keyframe
             found = failing.process(fresh(frame), T)
         assert len(failing.history) == len(plain.history) == k + 1
         poses = [closer.history.frames[-1].T_odom_camera for closer in (plain, failing)]

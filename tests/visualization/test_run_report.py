@@ -285,6 +285,13 @@ def test_metrics_are_written_for_people(tmp_path: Path, data: ReportData) -> Non
     assert "None" not in html
 
 
+def test_a_run_without_loops_has_ground_truth_all_the_same(tmp_path: Path, data) -> None:
+    metrics = {**METRICS, "n_loops": 0, "loop_precision": None}
+    html = write(tmp_path, replace(data, metrics=metrics))
+    assert "none to compare with ground truth" in html
+    assert "no ground truth" not in html
+
+
 def test_the_page_needs_no_network(tmp_path: Path, data: ReportData) -> None:
     html = write(tmp_path, data)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=", html)

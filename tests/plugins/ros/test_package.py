@@ -2,9 +2,14 @@
 
 import ast
 import re
+import runpy
+import sys
 import tomllib
+import types
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
+import pytest
 import yaml
 from conftest import ROOT
 
@@ -49,13 +54,49 @@ def test_the_file_of_parameters_lists_them_all_with_their_defaults():
     assert written["/**"]["ros__parameters"] == constant("PARAMETERS")
 
 
-def test_the_launch_file_sets_parameters_and_topics_that_the_node_has():
-    text = LAUNCH.read_text()
-    (names,) = re.findall(r"for name in \((.*?)\)", text)
-    assert set(re.findall(r'"(\w+)"', names)) <= set(constant("PARAMETERS"))
+class Called:
+    """Stands for a class of ROS's launch system; keeps the arguments that it is called with."""
+
+    def __init__(self, *args, **options):
+        self.args, self.options = args, options
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """What the launch file returns, where ROS's launch system is not installed."""
+    for name, members in {
+        "ament_index_python": {},
+        "ament_index_python.packages": {"get_package_share_directory": lambda name: str(PACKAGE)},
+        "launch": {"LaunchDescription": Called},
+        "launch.actions": {"DeclareLaunchArgument": type("DeclareLaunchArgument", (Called,), {})},
+        "launch.substitutions": {"LaunchConfiguration": type("Configuration", (Called,), {})},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": type("Node", (Called,), {})},
+    }.items():
+        module = types.ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+    (actions,) = runpy.run_path(str(LAUNCH))["generate_launch_description"]().args
+    *declared, node = actions
+    return {item.args[0]: item.options["default_value"] for item in declared}, node.options
+
+
+def test_the_launch_file_starts_the_node_with_what_it_knows(launched):
+    declared, node = launched
+    (script,) = re.findall(r'console_scripts": \["(\w+) = ', (PACKAGE / "setup.py").read_text())
+    name = ElementTree.parse(PACKAGE / "package.xml").getroot().findtext("name")
+    assert (node["package"], node["executable"]) == (name, script)
+    file, changed = node["parameters"]
+    assert set(changed) <= set(constant("PARAMETERS"))
+    assert Path(declared["parameters"]).is_file()
     listened = (PACKAGE / "slam_bof_ros" / "node.py").read_text()
-    for topic in re.findall(r'\("(\w[\w/]*)", \[?', text[text.index("remappings") :]):
+    for topic, _ in node["remappings"]:
         assert f'"{topic}' in listened, topic
+    parts = [*changed.values(), file]
+    for _, target in node["remappings"]:
+        parts += target if isinstance(target, list) else [target]
+    used = {part.args[0] for part in parts if isinstance(part, Called)}
+    assert used == set(declared)
 
 
 def test_rviz_shows_topics_that_the_node_publishes():
