@@ -23,7 +23,6 @@ import numpy as np
 from slam_bof.geometry import se3
 from slam_bof.tracking.step_noise import (
     FORGETTING,
-    N_REFERENCE,
     SLIP,
     TINY,
     StepNoise,
@@ -34,9 +33,10 @@ from slam_bof.types import Array, Pose
 
 __all__ = ["OdometryFusion"]
 
+N_REFERENCE = 6
+"""Frames after which it is known what is usual."""
 OUTLIER = 5.0
 """Greater ones than this count as this much in what is usual."""
-
 MAX_WANDER = 0.9
 """Largest share of the drift that is alignment's: a steady drift of odometry looks like that."""
 
@@ -99,11 +99,6 @@ class OdometryFusion:
         self._unsteady = np.array(state["unsteady"])
         self._step_noise = StepNoise(state.get("step_noise"))
 
-    @property
-    def prefers_odometry(self) -> bool:
-        """Whether odometry is known to be more precise than alignment with the keyframe before."""
-        return self._n <= N_REFERENCE and self._step_noise.prefers_odometry
-
     def predict(self, T_odometry: Pose) -> Pose:
         """Return the pose (4, 4) of a frame as far as odometry tells."""
         return self._T_track_odometry @ T_odometry
@@ -129,7 +124,7 @@ class OdometryFusion:
         else:
             moved = np.stack([T_odometry, T_aligned])
             self._step_noise.learn(se3.log(se3.inverse(self._last) @ moved))
-            if self._n <= N_REFERENCE:
+            if self._n <= N_REFERENCE and self._step_noise.is_known:
                 of_drift = of_pose = self._step_noise.gain(off)
         T_corrected, T_fused = T_predicted @ se3.exp(
             np.stack([off * of_drift.repeat(3), off * of_pose.repeat(3)])

@@ -8,14 +8,14 @@ import numpy as np
 
 from slam_bof.types import Array
 
-__all__ = ["FORGETTING", "N_REFERENCE", "SLIP", "TINY", "StepNoise", "products", "square"]
+__all__ = ["FORGETTING", "SLIP", "TINY", "StepNoise", "products", "square"]
 
 FORGETTING = 0.05
 """Weight of the newest frame in what is known of the noise: about a second of a camera."""
 SLIP = 3.0
 """Differences greater than usual by this factor are slips of odometry or of alignment."""
-N_REFERENCE = 6
-"""Frames after which it is known what is usual."""
+N_STEPS = 12
+"""Steps after which it is known which errs more."""
 TINY = 1e-12
 """Variances, m^2 and rad^2, that are nothing."""
 PERSISTENT = 0.5
@@ -83,17 +83,15 @@ class StepNoise:
         self._unsteady = self._unsteady + weight * (unsteady - self._unsteady)
 
     @property
-    def prefers_odometry(self) -> bool:
-        """Whether odometry is known to be the more precise."""
-        return self._n > N_REFERENCE and bool((self._gain() < 0.5).all())
+    def is_known(self) -> bool:
+        """Whether enough steps were seen."""
+        return self._n > N_STEPS
 
     def gain(self, off: Array) -> Array:
         """Return how far to go from odometry to an alignment that is ``off`` (6,), (2,).
 
         Where it is off by far more than usual, either of them is wrong altogether.
         """
-        if self._n <= N_REFERENCE:
-            return np.ones(2)
         gain = self._gain()
         if (square(off) > SLIP**2 * self._difference).any():
             return np.full(2, np.round(gain.mean()))

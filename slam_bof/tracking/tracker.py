@@ -104,8 +104,7 @@ class Tracker:
         T_guess = self._fusion.predict(T_odom_camera)
         leaps = self._leaps(T_guess)
         found = self._finder.find(T_guess, self._recent, is_lost=self._is_lost, leaps=leaps)
-        trusts_odometry = self.trusts_odometry or self._fusion.prefers_odometry
-        can_trust = trusts_odometry and self._finder.sees_enough and not leaps
+        can_trust = self.trusts_odometry and self._finder.sees_enough and not leaps
         if can_trust and not (found and found.is_followed):
             found = Found(None, float("nan"), True)
         is_lost = found is None
