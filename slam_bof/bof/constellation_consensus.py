@@ -7,21 +7,20 @@ to those that do.
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.bof.constellation_correspondences import Correspondences, MatchingParams
+from slam_bof.core import compiled
 
 __all__ = ["Motions", "Votes", "fit_motions", "vote"]
 
-WIDTHS = (4, 12, 24, 48)
-"""Views with up to so many correspondences are computed together; of more, the first vote."""
 MAX_MOTIONS = 24
 """Correspondences of a view, the first, whose motions are tried."""
-
+MAX_APART2 = np.float32(20.0)
+"""Motions farther apart than this, squared and in widths of the kernel, do not agree at all."""
 
 MIN_AGREEMENT = 0.1
 """By the kernel, of an inlier."""
@@ -39,6 +38,11 @@ class Votes(NamedTuple):
     pairs: Correspondences
     views: NDArray[np.intp]
     agreement: NDArray[np.float32]
+
+    def disagreeing(self) -> tuple[Correspondences, NDArray[np.intp]]:
+        """Return the correspondences that do not agree, and the view of each."""
+        rows = np.flatnonzero(self.agreement <= MIN_AGREEMENT)
+        return self.pairs.take(rows), self.views.take(rows)
 
 
 def vote(
@@ -58,12 +62,7 @@ def vote(
     counts = np.bincount(views, minlength=n_views)
     starts = np.cumsum(counts) - counts
     at = features(pairs, params)
-    winners = np.zeros(n_views, np.intp)
-    for low, width in pairwise((0, *WIDTHS)):
-        high = width if width < WIDTHS[-1] else len(views)
-        some = np.flatnonzero((counts > low) & (counts <= high))
-        if len(some):
-            winners[some] = _densest(at, pairs.weight, starts[some], counts[some], width)
+    winners = _densest(at, pairs.weight, starts, counts)
     offset = at - at.take(winners.take(views), axis=0)
     agreement = np.exp(np.float32(-0.5) * np.einsum("ij,ij->i", offset, offset))
     # Each contour of the query counts once, by its best partner.
@@ -81,6 +80,11 @@ class Motions(NamedTuple):
     yaw: NDArray[np.float64]
     shift: NDArray[np.complex128]
     height: NDArray[np.float64]
+
+    def take(self, rows: NDArray[np.integer[Any]] | slice) -> Motions:
+        """Return some rows."""
+        columns: tuple[NDArray[Any], ...] = self
+        return Motions(*(column[rows] for column in columns))
 
 
 def fit_motions(votes: Votes, chosen: NDArray[np.intp], params: MatchingParams) -> Motions:
@@ -128,23 +132,28 @@ def _sums(values: NDArray[Any], views: NDArray[np.intp], n_views: int) -> NDArra
     return np.bincount(views, values, n_views)
 
 
+@compiled
 def _densest(
     at: NDArray[np.float32],
     weight: NDArray[np.float32],
     starts: NDArray[np.intp],
     counts: NDArray[np.intp],
-    width: int,
 ) -> NDArray[np.intp]:
-    """Return the row of the densest motion of each view (G,), of rows ``starts`` and on."""
-    column = np.arange(width)
-    rows = starts[:, None] + np.minimum(column, counts[:, None] - 1)
-    points, voting = at.take(rows, axis=0), weight.take(rows)
-    voting[column >= counts[:, None]] = 0.0
-    length2 = np.float32(-0.5) * np.einsum("gwk,gwk->gw", points, points)
-    tried = points[:, :MAX_MOTIONS]
-    exponent = tried @ points.transpose(0, 2, 1)
-    exponent += length2[:, None]
-    exponent += length2[:, :MAX_MOTIONS, None]
-    np.minimum(exponent, np.float32(0.0), out=exponent)
-    density = (np.exp(exponent, out=exponent) @ voting[:, :, None])[:, :, 0]
-    return np.asarray(starts + density.argmax(axis=1))
+    """Return the row of the densest motion of each view (V,), with rows ``starts`` and on."""
+    winners = np.zeros(len(starts), np.intp)
+    half = np.float32(-0.5)
+    for view in range(len(starts)):
+        first, stop = starts[view], starts[view] + counts[view]
+        highest = np.float32(-1.0)
+        for tried in range(first, min(stop, first + MAX_MOTIONS)):
+            density = np.float32(0.0)
+            for row in range(first, stop):
+                apart2 = np.float32(0.0)
+                for axis in range(at.shape[1]):
+                    apart = at[row, axis] - at[tried, axis]
+                    apart2 += apart * apart
+                if apart2 < MAX_APART2:
+                    density += weight[row] * np.exp(half * apart2)
+            if density > highest:
+                highest, winners[view] = density, tried
+    return winners

@@ -37,8 +37,8 @@ from slam_bof.types import Params
 
 __all__ = ["ConstellationIndex", "Found", "IndexParams"]
 
-SLICES_APART = (-1, 0, 1)
-"""Slices that are looked in; more would hardly add, for things stand in several."""
+SLICES_APART = (-2, -1, 0, 1, 2)
+"""Slices that are looked in: as many as contours that match may be apart."""
 OWN_SLICE = (0,)
 NO_NUMBERS = np.empty(0, np.int32)
 NO_POSTINGS = Postings(NO_NUMBERS, NO_NUMBERS, NO_NUMBERS, np.empty((0, 2), np.uint8))
@@ -71,25 +71,18 @@ class IndexParams(Params):
 class Found:
     """Views that agree with a query, best first.
 
-    Ids, scores and motions (n,) are of all that were compared.
+    Ids, scores and motions (n,) are of all that were compared. ``others`` are further motions of
+    the same views: each is the one that most correspondences agree on which agree with none before.
     """
 
     view_ids: NDArray[np.intp]
     scores: NDArray[np.float32]
     motions: Motions
-
-    def without_motion(self) -> Found:
-        """Return the same views as if their contours said nothing."""
-        motions: tuple[NDArray[Any], ...] = self.motions
-        none = Motions(*(np.zeros_like(column) for column in motions))
-        return Found(self.view_ids, np.zeros_like(self.scores), none)
+    others: tuple[Motions, ...] = ()
 
     def first(self, n: int) -> Found:
-        """Return the best ``n``."""
-        motions: tuple[NDArray[Any], ...] = self.motions
-        return Found(
-            self.view_ids[:n], self.scores[:n], Motions(*(column[:n] for column in motions))
-        )
+        """Return the best ``n``, with one motion each."""
+        return Found(self.view_ids[:n], self.scores[:n], self.motions.take(slice(n)))
 
 
 class ConstellationIndex:
@@ -268,8 +261,8 @@ class ConstellationIndex:
         asked[order[np.cumsum(of_contours[order]) <= self.params.max_votes]] = True
         return np.asarray(asked[contours])
 
-    def compare(self, query: PlacedBofs, views: NDArray[np.intp]) -> Found:
-        """Rank views (n,) by consensus of all their contours."""
+    def compare(self, query: PlacedBofs, views: NDArray[np.intp], n_motions: int = 1) -> Found:
+        """Rank views (n,) by consensus of all their contours, with ``n_motions`` of each."""
         p = self.params.matching
         starts, stops = self._starts.rows[views], self._starts.rows[views + 1]
         counts = stops - starts
@@ -280,4 +273,8 @@ class ConstellationIndex:
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
         scores = votes.worth / np.maximum(total, np.float32(1e-6))
         best = np.argsort(-scores, kind="stable")
-        return Found(views[best], scores[best], fit_motions(votes, best, p))
+        motions, others = fit_motions(votes, best, p), []
+        for _ in range(n_motions - 1):
+            votes = vote(*votes.disagreeing(), len(views), p)
+            others.append(fit_motions(votes, best, p))
+        return Found(views[best], scores[best], motions, tuple(others))

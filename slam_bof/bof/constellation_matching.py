@@ -47,10 +47,11 @@ def match_constellations(
     """
     p = params or MatchingParams()
     pairs = find_correspondences(query.bofs, other.bofs, p)
+    views = np.zeros(len(pairs.query), np.intp)
     total = np.sqrt(weights(query.bofs).sum() * weights(other.bofs).sum())
     hypotheses: list[PoseHypothesis] = []
     while len(pairs.query) and len(hypotheses) < p.max_hypotheses:
-        votes = vote(pairs, np.zeros(len(pairs.query), np.intp), 1, p)
+        votes = vote(pairs, views, 1, p)
         score = float(votes.worth[0] / total)
         if hypotheses and score < p.min_score_ratio * hypotheses[0].score:
             break
@@ -60,7 +61,7 @@ def match_constellations(
         agrees = votes.agreement > MIN_AGREEMENT
         inliers = np.stack([votes.pairs.query[agrees], votes.pairs.match[agrees]], axis=1)
         hypotheses.append(PoseHypothesis(score, T, inliers))
-        pairs = votes.pairs.take(np.flatnonzero(~agrees))
+        pairs, views = votes.disagreeing()
     return hypotheses
 
 
@@ -70,11 +71,12 @@ def camera_motions(motions: Motions, R_level_query: Array, R_level_match: Array)
     ``R_level_query`` (3, 3) and ``R_level_match`` (V, 3, 3) are those of ``Constellation``.
     """
     c, s = np.cos(motions.yaw), np.sin(motions.yaw)
+    R, t = np.zeros((len(c), 3, 3)), np.empty((len(c), 3))
+    R[:, 0, 0], R[:, 0, 2], R[:, 1, 1], R[:, 2, 0], R[:, 2, 2] = c, -s, 1.0, s, c
+    t[:, 0], t[:, 1], t[:, 2] = motions.shift.real, motions.height, motions.shift.imag
+    R_match_level = R_level_match.transpose(0, 2, 1)
     T = np.zeros((len(c), 4, 4))
-    T[:, 0, 0], T[:, 0, 2], T[:, 2, 0], T[:, 2, 2] = c, -s, s, c
-    T[:, 1, 1] = T[:, 3, 3] = 1.0
-    T[:, :3, 3] = np.stack([motions.shift.real, motions.height, motions.shift.imag], axis=1)
-    T_match_level, T_level_query = np.tile(np.eye(4), (len(c), 1, 1)), np.eye(4)
-    T_match_level[:, :3, :3] = R_level_match.transpose(0, 2, 1)
-    T_level_query[:3, :3] = R_level_query
-    return np.asarray(T_match_level @ T @ T_level_query)
+    T[:, :3, :3] = R_match_level @ (R @ R_level_query)
+    T[:, :3, 3] = (R_match_level @ t[:, :, None])[:, :, 0]
+    T[:, 3, 3] = 1.0
+    return T

@@ -38,6 +38,8 @@ BEYOND = 2 ** (AXIS_BITS + CELL_BITS)
 """Steps from the first cell, along x and z, that are beyond the last one."""
 NOWHERE = 2**14 * (1 + 1j)
 """Steps away from anything."""
+FEW_VOTES = 20_000
+"""Of more, a vote that stands alone in its cell is left out, for it costs time."""
 NEIGHBOUR = 0.5
 """What a vote in a cell beside counts."""
 
@@ -139,7 +141,7 @@ def count_votes(
         (V,) leaves some views out.
     """
     cells = np.sort(cells)
-    cells, counts = _agreeing(cells)
+    cells, counts = _agreeing(cells, 1 if len(cells) <= FEW_VOTES else 2)
     views = cells >> np.uint32(MOTION_BITS)
     counts *= np.float32(1.0) / np.sqrt(totals[views] + np.float32(5.0))
     if allowed is not None:
@@ -163,13 +165,15 @@ def count_votes(
 
 
 @compiled
-def _agreeing(cells: NDArray[np.uint32]) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the cells with several votes, and how many; what stands alone agrees with nothing."""
+def _agreeing(
+    cells: NDArray[np.uint32], least: int
+) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
+    """Return the cells with at least so many votes, and how many."""
     found, counts = np.empty_like(cells), np.empty(len(cells), np.float32)
     n = begin = 0
     for end in range(1, len(cells) + 1):
         if end == len(cells) or cells[end] != cells[begin]:
-            if end - begin > 1:
+            if end - begin >= least:
                 found[n], counts[n] = cells[begin], end - begin
                 n += 1
             begin = end

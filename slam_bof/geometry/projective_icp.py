@@ -26,6 +26,7 @@ from slam_bof.geometry.visibility import (
     agreement_score,
     classify_points,
     coverage,
+    rough_score,
     score_poses,
 )
 from slam_bof.types import Array, Params
@@ -192,6 +193,17 @@ class ViewAligner:
             starts = np.take_along_axis(tried, best[..., None, None], axis=1)
             tolerance = tolerance * 0.7
         return starts[:, 0]
+
+    def rough_score(self, query: int, matches: Indices, T_match_query: Array) -> Floats:
+        """Score poses (n, 4, 4) by few points, (n,): by those of the view that agrees less."""
+        return rough_score(
+            self._views,
+            query,
+            matches,
+            T_match_query,
+            self.params.n_search_points,
+            self.params.search_tolerance,
+        )
 
     def refine(self, query: int, matches: Indices, T_match_query: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from slam_bof.bof import ConstellationParams
+from slam_bof.bof import ConstellationParams, IndexParams
 from slam_bof.geometry import AlignmentParams, GravityParams
-from slam_bof.places.view_index import ViewIndexParams
 from slam_bof.types import Params
 
 __all__ = ["RecogniserParams"]
@@ -16,10 +15,9 @@ class RecogniserParams(Params):
     """Parameters of place recognition: sizes of the shortlists, and ranking of alignments."""
 
     n_aligned: int = Field(
-        20,
+        10,
         ge=0,
-        description="Number of views that are aligned with the query; up to half of them are "
-        "followed.",
+        description="Number of views that are aligned with the query.",
     )
     n_followed: int = Field(
         5,
@@ -53,5 +51,5 @@ class RecogniserParams(Params):
     )
     constellation: ConstellationParams = ConstellationParams()
     gravity: GravityParams = GravityParams()
-    search: ViewIndexParams = ViewIndexParams()
-    alignment: AlignmentParams = AlignmentParams()
+    search: IndexParams = IndexParams()
+    alignment: AlignmentParams = AlignmentParams(n_poses=16, n_rounds=2)

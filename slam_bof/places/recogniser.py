@@ -1,9 +1,9 @@
 """Place recognition from depth alone: find earlier views of the same surfaces, and their poses.
 
-BOF descriptors of level contours vote for earlier views and relative poses, and the range panorama
-is compared with those of the views with most votes (``view_index``). The best views are aligned
-with the query and ranked by the surfaces that both see. The matches of the last view are
-propagated by odometry and aligned as well, so that a place is not lost in a view with few features.
+BOF descriptors of level contours vote for earlier views and propose relative poses
+(``view_index``). The matches of the last view, propagated by odometry, are proposed as well, so
+that a place is not lost in a view with few features. The depth of few points says which proposals
+are worth aligning. The aligned views are ranked by the surfaces that both see.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +39,9 @@ __all__ = ["Compare", "PlaceMatch", "PlaceRecogniser"]
 UPRIGHT = np.array([0.0, 1.0, 0.0])
 """Direction of gravity in the frame of an upright camera."""
 
+NEARNESS = 2.0
+"""Weight of ``near_bonus`` before alignment, when views agree less than they will."""
+
 Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 """Measures the agreement of a view with others (n,) at poses ``T_match_query`` (n, 4, 4)."""
 
@@ -58,17 +61,16 @@ class PlaceMatch:
     free_space_violation: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shortlist:
+class Shortlist(NamedTuple):
     """The views that are most similar to a query before alignment.
 
-    ``scores`` (n,) are those of all views that were searched. ``view_ids`` (m,) are the best views,
-    best first, and ``starts`` (m, S, 4, 4) the initial poses ``T_match_query`` of their alignment.
+    ``view_ids`` (m,) are the best views, best first, ``T_match_query`` (m, 4, 4) the poses at which
+    their alignment starts, and ``scores`` (n,) those of all views that were searched.
     """
 
-    scores: NDArray[np.float32]
     view_ids: NDArray[np.intp]
-    starts: Array
+    T_match_query: Array
+    scores: NDArray[np.float32]
 
 
 class PlaceRecogniser:
@@ -220,7 +222,7 @@ class PlaceRecogniser:
         """Return those of the first ``n_views`` views that may match this one, best first.
 
         The search index proposes views, and so do the matches of the last query, propagated by
-        odometry. All proposals are aligned with this view and ranked.
+        odometry. The best proposals are aligned with this view and ranked.
 
         Parameters
         ----------
@@ -242,14 +244,14 @@ class PlaceRecogniser:
             raise ValueError(
                 f"found view {view_id} and {n_views} to search, expected of {len(self)} views"
             )
-        shortlist = self.retrieve(view_id, n_views, exclude=exclude)
-        ids, starts = shortlist.view_ids, shortlist.starts
+        followed: dict[int, Pose] = {}
         if follow:
             near = partial(self._index.neighbours, n=p.n_neighbours, below=n_views)
-            ids, starts = self._merge(shortlist, self._followed.propose(view_id, near))
+            followed = self._followed.propose(view_id, near)
+        ids, starts, _ = self._shortlist(view_id, n_views, exclude, followed)
         if len(ids) == 0:
             return []
-        T = self.aligner.refine(view_id, ids, self.aligner.search(view_id, ids, starts))
+        T = self.aligner.refine(view_id, ids, self.aligner.search(view_id, ids, starts[:, None]))
         inlier_ratio, free_space_violation, _ = self.aligner.agreement(view_id, ids, T)
         scores = self._score(T, inlier_ratio - free_space_violation)
         matches = [
@@ -276,29 +278,30 @@ class PlaceRecogniser:
         The score is -1 for views that were not compared, are in ``exclude`` or were deactivated.
         The query itself must not be deactivated.
         """
-        found = self._index.propose(view_id, n_views, self.params.n_aligned, exclude=exclude)
-        R = self._R_level_camera.rows
-        moved = camera_motions(found.motions, R[view_id], R[found.view_ids])
-        unmoved = np.broadcast_to(np.eye(4), moved.shape)
-        return Shortlist(found.scores, found.view_ids, np.stack([moved, unmoved], axis=1))
+        return self._shortlist(view_id, n_views, exclude, {})
 
-    def _merge(
-        self, shortlist: Shortlist, followed: dict[int, Pose]
-    ) -> tuple[NDArray[np.intp], Array]:
-        """Return ``n_aligned`` views and initial poses, from the shortlist and followed matches.
-
-        If a followed match leads to a view of the shortlist, its pose replaces the initial pose
-        without motion.
-        """
-        ids, starts = shortlist.view_ids, shortlist.starts.copy()
-        for k, listed in enumerate(ids):
-            starts[k, -1] = followed.pop(int(listed), starts[k, -1])
-        added = list(followed.items())[: self.params.n_aligned // 2]
-        n_listed = self.params.n_aligned - len(added)
-        ids = np.concatenate([ids[:n_listed], np.array([near for near, _ in added], np.intp)])
-        poses = np.array([T for _, T in added]).reshape(-1, 1, 4, 4)
-        poses = np.broadcast_to(poses, (len(added), *starts.shape[1:]))
-        return ids, np.concatenate([starts[:n_listed], poses])
+    def _shortlist(
+        self,
+        view_id: int,
+        n_views: int,
+        exclude: NDArray[np.integer[Any]] | None,
+        followed: dict[int, Pose],
+    ) -> Shortlist:
+        """Score all proposed poses by the depth of few points, and keep the best of each view."""
+        p, R = self.params, self._R_level_camera.rows
+        ids, motions = self._index.propose(view_id, n_views, exclude=exclude)
+        T = camera_motions(motions, R[view_id], R[ids])
+        ids = np.append(ids, np.array(list(followed), np.intp))
+        T = np.concatenate([T, np.array(list(followed.values())).reshape(-1, 4, 4)])
+        worth = self.aligner.rough_score(view_id, ids, T)
+        worth += NEARNESS * p.near_bonus * self._nearness(T)
+        order = np.argsort(-worth, kind="stable")
+        _, first = np.unique(ids[order], return_index=True)
+        best = order[np.sort(first)]
+        scores = np.full(n_views, -1.0, np.float32)
+        scores[ids[best]] = worth[best]
+        best = best[: p.n_aligned]
+        return Shortlist(ids[best], T[best], scores)
 
     @one_blas_thread()
     def _add(
@@ -309,24 +312,28 @@ class PlaceRecogniser:
         saved: SavedConstellation | None = None,
     ) -> int:
         p, R_level_camera = self.params.constellation, level_frame(gravity_camera)
-        points_level = view_points(frame) @ R_level_camera.T.astype(np.float32)
         view = restore_constellation(saved, p, frame.sensor)
         if view is None:
+            points_level = view_points(frame) @ R_level_camera.T.astype(np.float32)
             view = index_view(place_bofs(points_level, p))
         self.newest = save_constellation(view, gravity_camera, p, frame.sensor)
         self.aligner.add(make_view(frame))
         self._followed.add(T_odom_camera)
         self._R_level_camera.append(R_level_camera)
-        self._index.add(len(self) - 1, view, points_level)
+        self._index.add(len(self) - 1, view)
         return len(self) - 1
 
     def _score(self, T_match_query: Array, agreement: Array) -> Array:
         """Score by agreement up to ``overlap_saturation``; prefer near viewpoints beyond it."""
-        p = self.params
-        distance = np.linalg.norm(T_match_query[:, :3, 3], axis=1) / p.near_m
-        angle = se3.rotation_angle(T_match_query) / np.radians(p.near_deg)
-        near = np.exp(-(distance**2 + angle**2) / 2)
+        p, near = self.params, self._nearness(T_match_query)
         excess = np.maximum(agreement - p.overlap_saturation, 0.0)
         return np.asarray(
             np.minimum(agreement, p.overlap_saturation) + 0.1 * excess + p.near_bonus * near
         )
+
+    def _nearness(self, T_match_query: Array) -> Array:
+        """Return how near viewpoints (..., 4, 4) are, from 1 for the same one down to 0."""
+        p = self.params
+        distance = np.linalg.norm(T_match_query[..., :3, 3], axis=-1) / p.near_m
+        angle = se3.rotation_angle(T_match_query) / np.radians(p.near_deg)
+        return np.asarray(np.exp(-(distance**2 + angle**2) / 2))

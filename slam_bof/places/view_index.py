@@ -1,107 +1,65 @@
 """The search index of views, which proposes pairs of views of the same place.
 
-It combines two methods: the constellation, whose contours vote for views and relative poses
-(``slam_bof.bof``), and the range panorama. They fail in different cases. Contours that are cut by
-the border of the image change when the camera turns, which hardly affects the panorama; the
-panorama changes when the camera translates.
+It holds the constellations of views (``slam_bof.bof``) by their ids. Contours vote for views, and
+those that correspond give several relative poses of each.
 """
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Collection
-from dataclasses import dataclass
 from itertools import compress
-from typing import Any, Literal
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from slam_bof.bof import ConstellationIndex, IndexedView, IndexParams, Motions
-from slam_bof.core import GrowingArray
-from slam_bof.places.range_panorama import Panorama
-from slam_bof.types import Params
 
-__all__ = ["Proposals", "ViewIndex", "ViewIndexParams"]
+__all__ = ["Proposals", "ViewIndex"]
 
-
-class ViewIndexParams(Params):
-    """Sizes of the shortlists of the search, and weights of its two scores."""
-
-    by: Literal["both", "constellation", "panorama"] = Field(
-        "both",
-        description="What proposes views: the constellation of BOFs, the range panorama, or both.",
-    )
-    n_voted: int = Field(
-        200,
-        gt=0,
-        description="Number of views with most votes whose panoramas are compared.",
-    )
-    n_compared: int = Field(
-        50,
-        gt=0,
-        description="Number of these that are matched contour by contour.",
-    )
-    constellation_weight: float = Field(
-        3.0,
-        ge=0,
-        description="Weight of the constellation score beside that of the panorama, which is 1.",
-    )
-    index: IndexParams = IndexParams()
+TURNS_RAD = np.radians([-12.0, 0.0, 12.0])
+"""Turns on the spot that are proposed for each view as well: where walls fill the image, its border
+cuts their contours, and what is left of them in two views need not correspond."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Proposals:
-    """Views that may show the same place as a query.
+class Proposals(NamedTuple):
+    """Poses at which views may show the same place as a query.
 
-    ``scores`` (n,) are those of all views searched, -1 for those that were not compared.
-    ``view_ids`` (m,) are the best, best first. ``motions`` (m,) are the poses of the levelled frame
-    of the query in theirs.
+    A view has several: ``view_ids`` (n,) are repeated. ``motions`` (n,) are the poses of the
+    levelled frame of the query in those of the views.
     """
 
-    scores: NDArray[np.float32]
     view_ids: NDArray[np.intp]
     motions: Motions
 
 
 class ViewIndex:
-    """Stores the constellation and the range panorama of each view."""
+    """Stores the constellation of each view."""
 
-    def __init__(self, params: ViewIndexParams) -> None:
-        self.params = params
-        self._index = ConstellationIndex(params.index)
-        self._panorama = Panorama()
-        self._panoramas = GrowingArray((*self._panorama.shape, 2), np.int8)
-        self._steps = GrowingArray((), np.float32)
+    def __init__(self, params: IndexParams) -> None:
+        self._index = ConstellationIndex(params)
         self._ids: list[int] = []
 
     @property
     def nbytes(self) -> int:
         """Size of all stored views in bytes."""
-        return self._index.nbytes + self._panoramas.rows.nbytes
+        return self._index.nbytes
 
-    def add(self, view_id: int, view: IndexedView, points_level: NDArray[np.float32]) -> None:
-        """Add a view with its levelled points (N, 3). Ids must increase."""
+    def add(self, view_id: int, view: IndexedView) -> None:
+        """Add a view. Ids must increase."""
         self._index.add_view(view)
-        packed, step = self._panorama.pack(self._panorama.spectrum(points_level))
-        self._panoramas.append(packed)
-        self._steps.append(step)
         self._ids.append(view_id)
 
     def pop(self) -> None:
         """Drop the view added last."""
         self._ids.pop()
         self._index.pop()
-        self._panoramas.truncate(len(self._ids))
-        self._steps.truncate(len(self._ids))
 
     def remove(self, view_ids: Collection[int]) -> None:
         """Remove views; those that the index does not have are ignored."""
         is_kept = ~np.isin(self._ids, list(view_ids))
         self._index.keep(is_kept)
-        self._panoramas.keep(is_kept)
-        self._steps.keep(is_kept)
         self._ids = list(compress(self._ids, is_kept))
 
     def neighbours(self, view_id: int, n: int, below: int) -> list[int]:
@@ -110,46 +68,29 @@ class ViewIndex:
         return self._ids[max(0, at - n) : min(at + n + 1, bisect_left(self._ids, below))]
 
     def propose(
-        self, view_id: int, n_views: int, n: int, *, exclude: NDArray[np.integer[Any]] | None = None
+        self, view_id: int, n_views: int, *, exclude: NDArray[np.integer[Any]] | None = None
     ) -> Proposals:
         """Search the views with ids below ``n_views``, without those in ``exclude``.
 
-        The query must be a stored view. The best ``n`` are returned with their motions.
+        The query must be a stored view.
         """
-        p = self.params
         ids = np.array(self._ids, np.intp)
         allowed = (ids < n_views) & ~np.isin(ids, [] if exclude is None else exclude)
-        query_row = bisect_left(self._ids, view_id)
-        bofs = self._index.bofs(query_row)
-        rows, voted = np.flatnonzero(allowed), np.empty(0, np.intp)
-        if p.by != "panorama":
-            crowded = len(rows) > p.n_voted
-            n_voted = p.n_voted if crowded else p.n_compared
-            voted = self._index.candidates(bofs, n_voted, allowed=allowed)
-            rows = voted if crowded else rows
-        panorama_scores = np.zeros(len(rows), np.float32)
-        if p.by != "constellation":
-            panorama_scores = self._panorama_scores(rows, query_row)
-            # Of the views that are compared contour by contour, each method proposes half.
-            voted = voted[: p.n_compared // 2]
-            best = np.argsort(-panorama_scores, kind="stable")[: p.n_compared - len(voted)]
-            voted = np.union1d(voted, rows[best])
-        found = self._index.compare(bofs, voted)
-        if p.by == "panorama":
-            found = found.without_motion()
-        scores = np.full(len(ids), -1.0, np.float32)
-        scores[rows] = panorama_scores
-        scores[found.view_ids] += np.float32(p.constellation_weight) * found.scores
-        best = np.argsort(-scores[found.view_ids], kind="stable")[:n]
-        scores_by_id = np.full(max(n_views, 0), -1.0, np.float32)
-        scores_by_id[ids[rows]] = scores[rows]
-        motions: tuple[NDArray[Any], ...] = found.motions
+        index, p = self._index, self._index.params
+        query = index.bofs(bisect_left(self._ids, view_id))
+        voted = np.flatnonzero(allowed)
+        if len(voted) > p.n_compared:
+            voted = index.candidates(query, p.n_compared, allowed=allowed)
+        found = index.compare(query, voted, p.matching.max_hypotheses)
+        turns = [_turns(yaw, len(voted)) for yaw in TURNS_RAD]
+        motions = [found.motions, *found.others, *turns]
+        columns: zip[tuple[NDArray[Any], ...]] = zip(*motions, strict=True)
         return Proposals(
-            scores_by_id, ids[found.view_ids[best]], Motions(*(column[best] for column in motions))
+            np.tile(ids[found.view_ids], len(motions)),
+            Motions(*(np.concatenate(column) for column in columns)),
         )
 
-    def _panorama_scores(self, rows: NDArray[np.intp], query_row: int) -> NDArray[np.float32]:
-        """Return the correlation (n,) of the panoramas in rows (n,) with that of the query."""
-        packed, steps = self._panoramas.rows, self._steps.rows
-        query = packed[query_row].astype(np.float32).view(np.complex64)[..., 0] * steps[query_row]
-        return self._panorama.compare(packed[rows], steps[rows], query)
+
+def _turns(yaw: float, n: int) -> Motions:
+    """Return ``n`` turns on the spot."""
+    return Motions(np.full(n, yaw), np.zeros(n, np.complex128), np.zeros(n))

@@ -79,7 +79,14 @@ RENAMED_KEYS = {
     "regions": "rooms",
 }
 """Keys of earlier versions, given by the end of their path, and their present names."""
-REMOVED_KEYS = ("recogniser.n_plans", "recogniser.plan_weight")
+REMOVED_KEYS = (
+    "recogniser.n_plans",
+    "recogniser.plan_weight",
+    "search.by",
+    "search.n_voted",
+    "search.constellation_weight",
+    "search.index",
+)
 """Keys of earlier versions that a saved map may still have, given by the end of their path."""
 
 

@@ -6,6 +6,7 @@ from slam_bof.bof import (
     ConstellationIndex,
     IndexParams,
     constellation_index,
+    motion_votes,
     pack_constellation,
     unpack_constellation,
 )
@@ -32,6 +33,32 @@ def test_a_view_is_found_with_its_motion(index, place):
     assert found.motions.yaw[0] == pytest.approx(yaw, abs=np.radians(3))
     assert found.motions.shift[0] == pytest.approx(shift, abs=0.06)
     assert found.motions.height[0] == pytest.approx(0.0, abs=0.02)
+
+
+def test_contours_that_moved_otherwise_give_a_second_motion(index):
+    yaws, shifts = np.radians([20.0, -15.0]), (0.5 + 0.1j, -0.4 - 0.2j)
+    one, other = (
+        seen_again(view(7), yaw, shift, share=1.0) for yaw, shift in zip(yaws, shifts, strict=True)
+    )
+    is_second = np.arange(len(one.slices)) % 3 == 2
+    columns = zip(one, other, strict=True)
+    query = PlacedBofs(
+        *(np.where(is_second.reshape(-1, *[1] * (a.ndim - 1)), b, a) for a, b in columns)
+    )
+    found = index.compare(query, np.array([7, 8]), 2)
+    assert found.view_ids.tolist() == [7, 8]
+    assert found.motions.yaw[0] == pytest.approx(-yaws[0], abs=np.radians(3))
+    (second,) = found.others
+    assert second.yaw[0] == pytest.approx(-yaws[1], abs=np.radians(3))
+    assert second.shift[0] == pytest.approx(-shifts[1] * np.exp(-1j * yaws[1]), abs=0.06)
+    assert index.compare(query, np.array([7, 8])).others == ()
+
+
+def test_a_single_contour_is_enough_while_votes_are_few(index, monkeypatch):
+    query = seen_again(view(11), 0.1, 0.1 + 0.2j).take(slice(0, 1))
+    assert 11 in index.candidates(query, 400)
+    monkeypatch.setattr(motion_votes, "FEW_VOTES", 0)
+    assert 11 not in index.candidates(query, 400)
 
 
 def test_what_votes_leave_out_exhaustive_comparison_does_not_find_either(index):
@@ -153,7 +180,8 @@ def test_slices_beside_are_looked_in_while_the_map_is_small(max_views_beside, is
     index = ConstellationIndex(IndexParams(max_views_beside=max_views_beside))
     index.add(view(3))
     higher = view(3)._replace(slices=view(3).slices + np.int8(1))
-    assert (0 in index.candidates(higher, 1)) == is_found
+    (_, by_chance), (_, all_votes) = index.vote(higher, 1), index.vote(view(3), 1)
+    assert (by_chance[0] > 0.5 * all_votes[0]) == is_found
     assert 0 in index.candidates(view(3), 1)
 
 

@@ -55,6 +55,18 @@ def test_the_true_motion_agrees_and_wrong_ones_do_not(pair):
     assert free_space_violation[1] > 0.4
 
 
+def test_few_points_score_the_true_motion_best_from_either_side(pair):
+    aligner, T_match_query = pair
+    wrong = se3.exp(np.array([[0, 0.2, 0, 0, 0, 0], [0, 0, 0, 0, 0, -0.4], [0, 3.0, 0, 0, 0, 0]]))
+    poses = np.concatenate([T_match_query[None], T_match_query @ wrong])
+    scores = aligner.rough_score(1, np.zeros(4, int), poses)
+    assert scores.argmax() == 0
+    assert scores[0] > max(0.4, scores[1] + 0.1, scores[2] + 0.1)
+    assert scores[3] <= 0.0  # they look away from each other
+    back = aligner.rough_score(0, np.ones(4, int), se3.inverse(poses))
+    np.testing.assert_allclose(back, scores, atol=1e-9)
+
+
 def test_a_view_agrees_with_itself_altogether(pair):
     aligner, _ = pair
     agreement = aligner.agreement(1, np.array([1]), np.eye(4)[None])

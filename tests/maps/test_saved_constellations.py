@@ -146,7 +146,7 @@ def test_contours_that_cannot_be_are_not_taken(saved, walk, n_described, tmp_pat
 
 
 def test_contours_that_are_nonsense_lead_to_no_wrong_answer(saved, walk, n_described, tmp_path):
-    """The panorama still proposes keyframes, and alignment and the map decide."""
+    """A small map proposes all keyframes, and alignment and the map decide."""
     contours = np.random.default_rng(0).integers(0, 256, (30, 38), np.uint8)
     contours[:, 28] %= 30  # the slice
     noise = f"UPDATE constellations SET contours = x'{contours.tobytes().hex()}', weight = 1e17"

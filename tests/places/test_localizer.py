@@ -1,3 +1,4 @@
+import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -158,7 +159,7 @@ def test_a_place_that_is_twice_in_the_map_is_not_localised(turn, aside):
     twice = hold([*frames, *frames], np.concatenate([T_map_camera, beside @ T_map_camera]))
     found = twice.localize(aside[0][0])
     assert not found.is_known
-    assert "places match the image" in found.reason
+    assert re.search("places match the image|may as well be from", found.reason)
 
 
 def test_a_double_known_by_other_keyframes_is_not_localised(turn, aside):

@@ -54,6 +54,15 @@ def test_retrieval_alone_has_the_place_among_the_first(recogniser):
         assert (np.diff(shortlist.scores[shortlist.view_ids]) <= 0).all()
 
 
+def test_retrieval_alone_knows_roughly_from_where(recogniser, tour):
+    _, poses = tour
+    for query in (12, 14):
+        shortlist = recogniser.retrieve(query, N_ROUND)
+        off = se3.inverse(poses[query]) @ poses[shortlist.view_ids[0]] @ shortlist.T_match_query[0]
+        assert np.linalg.norm(off[:3, 3]) < 0.25
+        assert np.degrees(se3.rotation_angle(off)) < 8.0
+
+
 def test_only_older_views_answer(recogniser):
     assert recogniser.recognise(12, 0) == []
     assert {match.view_id for match in recogniser.recognise(12, 3)} == {0, 1, 2}
@@ -71,6 +80,13 @@ def test_the_number_of_aligned_views_is_limited(tour):
     recogniser = remember(tour, n_aligned=4, search={"n_compared": 6})
     for query in range(1, len(recogniser)):
         assert len(recogniser.recognise(query, query)) == min(query, 4)
+
+
+def test_without_votes_of_contours_nothing_is_recognised(tour):
+    for max_votes, n_found in ((1, 0), (200_000, 2)):
+        search = {"n_compared": 2, "max_votes": max_votes}
+        recogniser = remember(tour, n_followed=0, search=search)
+        assert len(recogniser.recognise(12, N_ROUND)) == n_found
 
 
 def test_matches_are_followed_to_views_that_nothing_else_leads_to(tour):

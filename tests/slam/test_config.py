@@ -199,8 +199,11 @@ def test_every_renamed_key_exists_under_its_new_name():
 
 
 def test_a_saved_map_may_have_keys_of_what_was_removed():
-    text = "loops: {recogniser: {n_plans: 100, plan_weight: 0.5, n_aligned: 7}}"
+    search = "{by: both, n_voted: 200, n_compared: 40, constellation_weight: 3.0, index: {}}"
+    recogniser = f"{{n_plans: 100, plan_weight: 0.5, n_aligned: 7, search: {search}}}"
+    text = f"loops: {{recogniser: {recogniser}}}"
     saved = config.parse_saved(text, "map.db")
     assert saved.loops.recogniser.n_aligned == 7
-    with pytest.raises(ConfigError, match=r"loops\.recogniser\.n_plans"):
+    assert saved.loops.recogniser.search.n_compared == 40
+    with pytest.raises(ConfigError, match=r"loops\.recogniser\.search\.by"):
         config.parse(text, "my.yaml")
