@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam_bof.synthetic import messy_views, training_views
+from slam_bof.synthetic import Scene3D, make_flat, make_tour, messy_views, sense, training_views
 from slam_bof.types import Array, DepthFrame, Intrinsics
 
 __all__ = ["RenderedViews"]
@@ -36,6 +36,23 @@ class RenderedViews:
     def messy(self, kind: str, seed: int, n_views: int) -> Iterator[View]:
         """Yield ``messy_views``, with gravity."""
         yield from self._kept(f"messy-{kind}-{seed}", n_views, messy_views(kind, seed, n_views))
+
+    def tour(self, seed: int, n_views: int) -> Iterator[tuple[DepthFrame, str]]:
+        """Yield frames along the tour of a flat, each with the kind of room that it is taken in."""
+        flat = make_flat(seed)
+        tour = make_tour(flat, seed=seed)
+        poses = tour[np.linspace(0, len(tour) - 1, n_views).round().astype(int)]
+
+        def render() -> Iterator[View]:
+            scene, rng = Scene3D(flat.mesh), np.random.default_rng([seed, 13])
+            for k, T_world_camera in enumerate(poses):
+                view = scene.view(T_world_camera)
+                depth = sense(view.depth_m, view.returned, rng)
+                yield DepthFrame(float(k), depth, scene.intrinsics), None
+
+        views = self._kept(f"tour-{n_views}-{seed}", n_views, render())
+        for (frame, _), T_world_camera in zip(views, poses, strict=True):
+            yield frame, flat.kind_at(*T_world_camera[:2, 3])
 
     def _kept(self, name: str, n_views: int, views: Iterator[View]) -> Iterator[View]:
         if self._folder is None:
