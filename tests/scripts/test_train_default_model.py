@@ -4,7 +4,7 @@ from argparse import Namespace
 
 import numpy as np
 
-from slam_bof.synthetic import FIRST_KINDS, Scene3D
+from slam_bof.synthetic import FIRST_KINDS, Scene3D, make_flat, make_tour
 
 SMALL = {"rooms": 2, "views": 1, "flats": 1, "flat_views": 6, "words": 16, "cost": 0.1, "seed": 0}
 
@@ -21,9 +21,12 @@ def test_rendered_views_are_used_again_and_train_the_same_model(load_script, tmp
         assert script["train"](args).content_hash == model.content_hash
 
 
-def test_views_of_a_flat_have_the_kind_of_the_room_that_they_are_taken_in(load_script):
-    rendered = load_script("train_default_model")["RenderedViews"]()
-    views = list(rendered.tour(1000, 6))
-    assert [kind for _, kind in views] == [kind for _, kind in rendered.tour(1000, 6)]
-    assert {"corridor", "living_room"} <= {kind for _, kind in views} <= set(FIRST_KINDS)
+def test_views_of_a_flat_have_the_kind_of_the_room_that_they_show(load_script):
+    views = list(load_script("train_default_model")["RenderedViews"]().tour(1000, 6))
+    flat, tour = make_flat(1000), make_tour(make_flat(1000), seed=1000)
+    poses = tour[np.linspace(0, len(tour) - 1, 6).round().astype(int)]
+    stands = [flat.kind_at(*T_world_camera[:2, 3]) for T_world_camera in poses]
+    # The first frame is taken in the hallway, before the open door of the room.
+    assert (stands[0], views[0][1]) == ("corridor", flat.rooms[0].kind)
+    assert np.mean([kind == room for (_, kind), room in zip(views, stands, strict=True)]) > 0.5
     assert all(np.count_nonzero(frame.depth) > 0.5 * frame.depth.size for frame, _ in views)
