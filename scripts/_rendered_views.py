@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 
-from slam_bof.synthetic import messy_views, training_views
-from slam_bof.types import Array, DepthFrame, Intrinsics
+from slam_bof.geometry import view_points
+from slam_bof.synthetic import (
+    Flat,
+    Scene3D,
+    make_flat,
+    make_tour,
+    messy_views,
+    sense,
+    training_views,
+)
+from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
 __all__ = ["RenderedViews"]
 
 View = tuple[DepthFrame, Array | None]
+_NEARER, _POINT_STRIDE = 0.9, 97
 ARRAYS = ("depth", "stamps_s", "down", "camera")
 
 
@@ -37,6 +48,26 @@ class RenderedViews:
         """Yield ``messy_views``, with gravity."""
         yield from self._kept(f"messy-{kind}-{seed}", n_views, messy_views(kind, seed, n_views))
 
+    def tour(self, seed: int, n_views: int) -> Iterator[tuple[DepthFrame, str]]:
+        """Yield frames along the tour of a flat, each with the kind of room that most of it shows.
+
+        Through a door that is the next room, as the smoothing of labels expects.
+        """
+        flat = make_flat(seed)
+        tour = make_tour(flat, seed=seed)
+        poses = tour[np.linspace(0, len(tour) - 1, n_views).round().astype(int)]
+
+        def render() -> Iterator[View]:
+            scene, rng = Scene3D(flat.mesh), np.random.default_rng([seed, 13])
+            for k, T_world_camera in enumerate(poses):
+                view = scene.view(T_world_camera)
+                depth = sense(view.depth_m, view.returned, rng)
+                yield DepthFrame(float(k), depth, scene.intrinsics), None
+
+        views = self._kept(f"tour-{n_views}-{seed}", n_views, render())
+        for (frame, _), T_world_camera in zip(views, poses, strict=True):
+            yield frame, _kind_seen(flat, frame, T_world_camera)
+
     def _kept(self, name: str, n_views: int, views: Iterator[View]) -> Iterator[View]:
         if self._folder is None:
             yield from views
@@ -47,6 +78,13 @@ class RenderedViews:
             found = list(views)
             _write(path, found)
         yield from found[:n_views]
+
+
+def _kind_seen(flat: Flat, frame: DepthFrame, T_world_camera: Pose) -> str:
+    """Return the kind of room that most points are in, each a tenth nearer, before its wall."""
+    points_camera = _NEARER * view_points(frame)[::_POINT_STRIDE]
+    points = points_camera @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+    return Counter(flat.kind_at(x, y) for x, y in points[:, :2].tolist()).most_common(1)[0][0]
 
 
 def _read(path: Path) -> Iterator[View]:

@@ -1,11 +1,11 @@
-"""What the default model learns from, or is measured with: real rooms, and messy synthetic ones.
+"""What the included models learn from, or are measured with: real rooms, and synthetic ones.
 
     DATA/nyu_scenes/labels.csv            single images by room, of NYU Depth v2
     DATA/7scenes/redkitchen/seq-01 ...    sequences, each of one room (SEQUENCES)
 
 Scenes that are none of the classes tell how certain to be. Every real image is described as it is
 and as other sensors would have measured it; messy synthetic ones only so, since no sensor has
-measured them. Tidy synthetic rooms, as in the demo, are measured by one sensor.
+measured them. Tidy synthetic rooms and flats, as in the demo, are measured by one sensor.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ MESSY_SEED, TIDY_SEED = 4000, 1000
 """Seeds of the first synthetic rooms."""
 REAL, MESSY, TIDY = 0, 1, 2
 WEIGHTS = np.array([1.0, 0.3, 0.2])
-"""Weight of a real, a messy and a tidy room."""
+"""Weight of a real, a messy and a tidy room. A flat counts as a tidy room."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Rooms:
     """Features of N views: ``scenes`` (N,) as recorded, ``groups`` (N,), the rooms.
 
     ``copies`` (N,) has the features by other sensors; ``origins`` (N,) are ``REAL``, ``MESSY`` or
-    ``TIDY``.
+    ``TIDY``, of which flats are too.
     """
 
     features: list[LevelledFeatures]
@@ -194,6 +194,18 @@ def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
                 rooms.features.append(levelled_features(frame, with_shapes=False))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
+    n = len(rooms.features)
+    return replace(rooms, copies=[[]] * n, origins=np.full(n, TIDY))
+
+
+def flats(rendered: RenderedViews, n_flats: int, n_views: int) -> Rooms:
+    """Describe ``n_views`` along the tour of each of ``n_flats`` flats."""
+    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    for number in track(range(TIDY_SEED, TIDY_SEED + n_flats), "Flats"):
+        for frame, kind in rendered.tour(number, n_views):
+            rooms.features.append(levelled_features(frame, with_shapes=False))
+            rooms.scenes.append(kind)
+            rooms.groups.append(f"flat {number}")
     n = len(rooms.features)
     return replace(rooms, copies=[[]] * n, origins=np.full(n, TIDY))
 

@@ -14,7 +14,6 @@ from .compilation import (
 )
 from .depth_view import (
     DepthView as DepthView,
-    make_rough_view as make_rough_view,
     make_view as make_view,
     quantize_depth as quantize_depth,
     restore_frame as restore_frame,

@@ -14,7 +14,6 @@ from slam_bof.types import DepthFrame, Intrinsics, SensorParams, SubsampledDepth
 
 __all__ = [
     "DepthView",
-    "make_rough_view",
     "make_view",
     "quantize_depth",
     "restore_frame",
@@ -63,21 +62,9 @@ def make_view(frame: DepthFrame) -> DepthView:
     return frame.derive(_make_view)
 
 
-def make_rough_view(frame: DepthFrame) -> DepthView:
-    """Return the view of a frame without smoothing, cached too: scene labels have learnt on it."""
-    return frame.derive(_make_rough_view)
-
-
 def _make_view(frame: DepthFrame) -> DepthView:
-    return _view(frame, smooth_depth(frame.depth_in_range_m(view_stride(frame.intrinsics))))
-
-
-def _make_rough_view(frame: DepthFrame) -> DepthView:
-    return _view(frame, frame.depth_in_range_m(2 * view_stride(frame.intrinsics)))
-
-
-def _view(frame: DepthFrame, depth_m: NDArray[np.float32]) -> DepthView:
     """Return the view of every second pixel of the grid of ``view_points``."""
+    depth_m = smooth_depth(frame.depth_in_range_m(view_stride(frame.intrinsics)))
     camera = _shrunk(frame.intrinsics, 2 * view_stride(frame.intrinsics))
     normals = surface_normals(_rays(camera) * depth_m[..., None], frame.sensor.edge_ratio)
     for shared in (depth_m, normals):

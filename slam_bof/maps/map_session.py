@@ -249,9 +249,10 @@ def check_session(
     found = store.parameters().get("model", model)
     if models.has_words_of(found, closer.map.model_name):
         logger.warning(
-            "%s: made with an earlier default model, %s; its labels are those stored, and new "
+            "%s: made with an earlier %s model, %s; its labels are those stored, and new "
             "keyframes get theirs from %s",
             store.path,
+            closer.map.model_name,
             found[:12],
             model[:12],
         )

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
-from scipy.special import log_softmax
+from scipy.special import log_softmax, softmax
 
 from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, SURFACE_SHARE
 from slam_bof.scenes.mlp_ensemble import TEMPERATURES
@@ -72,8 +72,8 @@ def fit_certainty(
     """Return the temperature, and its factors for views that say less.
 
     The factors minimise the cross entropy with the true classes, and with equal probabilities for
-    all classes where a frame shows none of them. With these factors, the temperature minimises that
-    of the frames that show a class, so that their probabilities are as high as they are right.
+    all classes where a frame shows none of them. With these factors, the temperature is that at
+    which labels of frames that show a class are right as often as they are probable in the mean.
 
     Parameters
     ----------
@@ -87,20 +87,22 @@ def fit_certainty(
     targets = np.full(logits.shape, 1.0 / logits.shape[1])
     targets[: len(index)] = np.eye(logits.shape[1])[index]
 
-    def cross_entropy(parameters: Array, n: int) -> float:
+    def cross_entropy(parameters: Array) -> float:
         temperature, floor, empty = np.exp(parameters)
-        scales = temperature * Warming(floor, empty).factors(profiles[:n])
-        logs = log_softmax(logits[:n].astype(np.float64) / scales[:, None], axis=1)
-        return -float(weight[:n] @ (targets[:n] * logs).sum(axis=1)) / float(weight[:n].sum())
+        scales = temperature * Warming(floor, empty).factors(profiles)
+        logs = log_softmax(logits.astype(np.float64) / scales[:, None], axis=1)
+        return -float(weight @ (targets * logs).sum(axis=1)) / float(weight.sum())
+
+    def overconfidence(log_temperature: float) -> float:
+        n = len(index)
+        scales = np.exp(log_temperature) * Warming(floor, empty).factors(profiles[:n])
+        p = softmax(logits[:n].astype(np.float64) / scales[:, None], axis=1)
+        return float(weight[:n] @ (p.max(axis=1) - (p.argmax(axis=1) == index)) / weight[:n].sum())
 
     most = (TEMPERATURES, (1.0, MAX_FLOOR_WARMING), (1.0, MAX_EMPTY_WARMING))
     bounds = [tuple(np.log(limits)) for limits in most]
     start = np.array([0.3, 0.1, 0.1])
-    best = minimize(cross_entropy, start, (len(logits),), bounds=bounds, method="L-BFGS-B").x
-    known = minimize_scalar(
-        lambda t: cross_entropy(np.array([t, *best[1:]]), len(index)),
-        bounds=bounds[0],
-        method="bounded",
-    )
+    best = minimize(cross_entropy, start, bounds=bounds, method="L-BFGS-B").x
     _, floor, empty = np.exp(best).tolist()
+    known = minimize_scalar(lambda t: overconfidence(t) ** 2, bounds=bounds[0], method="bounded")
     return float(np.exp(known.x)), Warming(floor, empty)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.geometry import GravityTracker, level_frame, make_rough_view, view_points
+from slam_bof.geometry import GravityTracker, level_frame, make_view, view_points
 from slam_bof.types import Array, DepthFrame
 
 __all__ = ["LevelledCloud", "levelled_cloud"]
@@ -70,7 +70,7 @@ def levelled_cloud(frame: DepthFrame, *, gravity_camera: Array | None = None) ->
         (3,) approximate direction of gravity in the camera frame; without it the camera is
         assumed to be within some 40 degrees of upright.
     """
-    view = make_rough_view(frame)
+    view = make_view(frame)
     normals = view.normals_camera[view.normals_camera.any(axis=-1)]
     initial = DEFAULT_GRAVITY_CAMERA if gravity_camera is None else gravity_camera
     tracker = GravityTracker(initial)

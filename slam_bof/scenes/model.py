@@ -73,12 +73,14 @@ DEFAULT = "default"
 INCLUDED = (DEFAULT, "synthetic")
 """Names of the models that come with slam_bof: one learnt from real and synthetic rooms, one from
 synthetic rooms only, which was the default before."""
-SUPERSEDED = (
-    "9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356",
-    "16bb13fe419f3da0b40af09d1c1f9ae2841cf9bb2009f2b8f0ab41c77f08b09d",
-)
-"""Content hashes of earlier default models that are included no more. That of today has the same
-words, idf and classes as they have."""
+SUPERSEDED = {
+    "9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356": DEFAULT,
+    "16bb13fe419f3da0b40af09d1c1f9ae2841cf9bb2009f2b8f0ab41c77f08b09d": DEFAULT,
+    "122169fe3ef2a18b7113932594d603cc95f08dc0ef9f653a9a1a39c7ec87190a": DEFAULT,
+    "daff55e72714452b1981776beeb732a6cf4f0ad4147297d1e25de5739b5dc689": "synthetic",
+}
+"""Included models by the content hashes of earlier ones, which are included no more and have the
+same words, idf and classes."""
 LEVELLED, CONSTELLATION = "levels", "constellation"
 """Keys of classifiers in the manifest, and folders of their arrays."""
 MAX_WEIGHT = 1e6
@@ -178,12 +180,15 @@ def resolve(name: str | Path | None = None) -> Model:
 
 
 def name_by_hash(name: str, content_hash: str | None) -> str:
-    """Return the name of the model that a map was made with.
+    """Return the name of the model that a map was made with, or of the one in its place.
 
     A map names ``default`` and the content hash of what that was then. If it is not the default
-    any more but still comes with slam_bof, its name of today is returned, else ``name``.
+    any more but still comes with slam_bof, or one with the same words does (``SUPERSEDED``), the
+    name of that is returned, else ``name``.
     """
     if name == DEFAULT and content_hash is not None:
+        if content_hash in SUPERSEDED:
+            return SUPERSEDED[content_hash]
         for included in INCLUDED:
             file = _included_file(included)
             if file.is_file() and _stored_hash(file) == content_hash:
@@ -193,7 +198,7 @@ def name_by_hash(name: str, content_hash: str | None) -> str:
 
 def has_words_of(content_hash: str, name: str | Path) -> bool:
     """Return whether a model, by name, describes frames as an earlier one of that hash did."""
-    return name == DEFAULT and content_hash in SUPERSEDED
+    return SUPERSEDED.get(content_hash) == name
 
 
 def _included_file(name: str) -> Traversable:

@@ -26,6 +26,7 @@ from .disturbed import (
     without as without,
 )
 from .flat import (
+    Flat as Flat,
     make_flat as make_flat,
     make_tour as make_tour,
 )

@@ -261,7 +261,7 @@ def test_a_map_of_a_default_model_of_the_past_is_continued(sequences, tmp_path, 
     map_file = tmp_path / "old.db"
     run_sequence(first, QUICK, tmp_path, map_file=map_file)
     with MapStore.open(map_file, read_only=False) as store:
-        store.set_parameters({"model": models.SUPERSEDED[0]})
+        store.set_parameters({"model": next(iter(models.SUPERSEDED))})
     run_sequence(second, QUICK, tmp_path, map_file=map_file)
     with MapStore.open(map_file) as store:
         assert len(store.sessions()) == 2

@@ -127,6 +127,18 @@ def test_certainty_is_what_frames_held_out_bear():
         assert p / (p + 2.0) == pytest.approx(share, abs=0.03)
 
 
+@pytest.mark.parametrize("n_right", [300, 600, 900])
+def test_labels_are_as_probable_as_they_are_right(n_right):
+    """Logits that are sure of half of the wrong labels mislead the cross entropy, not the mean."""
+    rng = np.random.default_rng(0)
+    answer = rng.integers(0, 5, 1000)
+    logits = np.where(np.arange(1000) % 2, 9.0, 1.0)[:, None] * np.eye(5)[answer]
+    truth = np.where(np.arange(1000) < n_right, answer, (answer + 1) % 5)
+    temperature, _ = fit_certainty(logits.astype(np.float32), truth, profiles(1000), np.ones(1000))
+    p = np.exp(logits / temperature)
+    assert (p.max(axis=1) / p.sum(axis=1)).mean() == pytest.approx(n_right / 1000, abs=1e-3)
+
+
 def test_scenes_of_no_class_lower_the_certainty_of_views_like_theirs_alone():
     rng = np.random.default_rng(0)
     index = rng.integers(0, 3, 900)

@@ -279,11 +279,25 @@ def test_the_included_models(name, n_classes):
     assert models.name_by_hash("default", model.content_hash) == name
 
 
-def test_the_synthetic_model_is_the_default_of_earlier_maps():
-    assert models.resolve("synthetic").content_hash.startswith("daff55e72714")
+def test_earlier_models_are_replaced_by_those_with_their_words():
+    for content_hash, name in models.SUPERSEDED.items():
+        assert models.name_by_hash("default", content_hash) == name
+        assert models.name_by_hash("mine.bof", content_hash) == "mine.bof"
+        assert models.has_words_of(content_hash, name)
+        assert not models.has_words_of(content_hash, "mine.bof")
+    assert set(models.SUPERSEDED.values()) == {"default", "synthetic"}
     assert models.name_by_hash("default", "another") == "default"
     assert models.name_by_hash("default", None) == "default"
     assert models.name_by_hash("mine.bof", models.resolve("synthetic").content_hash) == "mine.bof"
+
+
+@pytest.mark.parametrize("name", ["default", "synthetic"])
+def test_the_included_models_have_the_words_of_earlier_ones(name):
+    model = models.resolve(name)
+    digest = hashlib.sha256(model.vocabulary.words_.tobytes() + model.tf_idf.idf_.tobytes())
+    assert digest.hexdigest()[:12] == "aa064efee7f3"
+    assert model.content_hash not in models.SUPERSEDED
+    assert model.levelled_classifier.vocabulary is None
 
 
 def test_the_synthetic_model_tells_rooms_it_has_not_seen():
