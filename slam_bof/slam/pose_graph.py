@@ -23,9 +23,9 @@ __all__ = ["MapGraph"]
 TRACKED_SIGMA = 5.0
 """Standard deviation of a step of tracking, as a multiple of that of an edge. It is large because
 the edges between the same keyframes, found by the same alignment, are in the graph as well."""
-SLIP = 5.0
-"""Odometry that is not as precise as is ever believed has slipped where it differs from tracking by
-this multiple of what is usual."""
+SLIP, SLIP_PRECISE = 5.0, 20.0
+"""Odometry has slipped where it differs from tracking by this multiple of what is usual. If it is
+as precise as is ever believed, an alignment is more likely to be wrong."""
 MAX_STEP_SIGMA = 2.0
 """Odometry is trusted against single views if its steps have at most this multiple of it."""
 
@@ -220,7 +220,7 @@ class MapGraph:
                 by_odometry = np.array([noise.T_odom_camera[k] for k in ids])
                 share = sigmas**2 / (sigmas**2 + TRACKED_SIGMA**2)
                 is_precise = sigmas.max() <= MIN_RELATIVE_SIGMA_LONG
-                slip = np.full(2, np.inf) if is_precise else SLIP * noise.usual_step()
+                slip = (SLIP_PRECISE if is_precise else SLIP) * noise.usual_step()
                 tracked = _weighted_track(by_odometry, tracked, share, slip)
                 sigmas = TRACKED_SIGMA * np.sqrt(share) * self.uncertainty.edge_excess()
             self.backend.set_odometry(dict(zip(ids, tracked, strict=True)), sigmas)

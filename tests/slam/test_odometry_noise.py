@@ -167,6 +167,28 @@ def test_exact_odometry_is_hardly_touched_and_a_drifting_one_is_corrected():
     assert worst_m(of_drifting, truth) < 0.3 * worst_m(drifting, truth)
 
 
+def test_wrong_edges_do_not_hide_how_precise_odometry_is():
+    rng = np.random.default_rng(9)
+    truth = motion(rng)
+    edges = [
+        (i, k, noisy(rng, T, 0.1, 0.3) if n % 6 == 0 else T)
+        for n, (i, k, T) in enumerate(edges_of(rng, truth))
+    ]
+    assert (relative_sigmas(truth, edges) < 1.0).all()
+
+
+@pytest.mark.parametrize("walk", [(0.0, 0.0), (0.005, 0.01)])
+def test_where_odometry_slips_tracking_is_followed(walk):
+    rng = np.random.default_rng(10)
+    truth = motion(rng)
+    edges = [edge for edge in edges_of(rng, truth) if edge[0] == edge[1] - 1 or edge[1] < 20]
+    odometry = odometry_of(rng, truth, walk)
+    slipped = odometry.copy()
+    slipped[40:, 0, 3] += 0.6
+    of_odometry, of_slipped = (optimized(truth, T, edges) for T in (odometry, slipped))
+    assert worst_m(of_slipped, truth) < worst_m(of_odometry, truth) + 0.05
+
+
 def test_frames_move_as_odometry_or_tracking_has_them_whichever_is_nearer_to_the_map():
     raw = np.tile(np.eye(4), (5, 1, 1))
     raw[:, 2, 3] = np.arange(5) * 0.1
