@@ -15,7 +15,7 @@ class RecogniserParams(Params):
     """Parameters of place recognition: sizes of the shortlists, and ranking of alignments."""
 
     n_aligned: int = Field(
-        10,
+        20,
         ge=0,
         description="Number of views that are aligned with the query.",
     )
