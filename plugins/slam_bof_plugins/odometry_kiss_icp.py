@@ -32,7 +32,7 @@ class KissIcpParams(IcpParams):
         5.0, gt=0, description="Depths farther than this many metres are dropped."
     )
     convergence: float = Field(
-        1e-3, gt=0, description="ICP stops when the norm of a step (rad and m) is below this."
+        3e-4, gt=0, description="ICP stops when the norm of a step (rad and m) is below this."
     )
     n_threads: int = Field(
         1, ge=0, description="Number of threads; 0 uses all cores, 1 is often faster."

@@ -23,9 +23,11 @@ __all__ = ["MapGraph"]
 TRACKED_SIGMA = 5.0
 """Standard deviation of a step of tracking, as a multiple of that of an edge. It is large because
 the edges between the same keyframes, found by the same alignment, are in the graph as well."""
+PRECISE = MIN_RELATIVE_SIGMA_LONG
+"""Odometry is precise if a step has at most this multiple of the standard deviation of an edge."""
 SLIP, SLIP_PRECISE = 5.0, 20.0
 """Odometry has slipped where it differs from tracking by this multiple of what is usual. If it is
-as precise as is ever believed, an alignment is more likely to be wrong."""
+precise, an alignment is more likely to be wrong."""
 MAX_STEP_SIGMA = 2.0
 """Odometry is trusted against single views if its steps have at most this multiple of it."""
 
@@ -218,8 +220,10 @@ class MapGraph:
             sigmas = noise.relative_sigmas()
             if sigmas is not None:
                 by_odometry = np.array([noise.T_odom_camera[k] for k in ids])
+                is_precise = sigmas.max() <= PRECISE
+                # What is no more precise than edges drifts to one side rather than to and fro.
+                sigmas = sigmas * np.maximum(sigmas / PRECISE, 1.0)
                 share = sigmas**2 / (sigmas**2 + TRACKED_SIGMA**2)
-                is_precise = sigmas.max() <= MIN_RELATIVE_SIGMA_LONG
                 slip = (SLIP_PRECISE if is_precise else SLIP) * noise.usual_step()
                 tracked = _weighted_track(by_odometry, tracked, share, slip)
                 sigmas = TRACKED_SIGMA * np.sqrt(share) * self.uncertainty.edge_excess()

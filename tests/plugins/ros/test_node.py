@@ -37,6 +37,8 @@ ROOT = Path(__file__).resolve().parents[3]
 R_UP_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """The axes of a level camera in a frame whose z is up."""
 Z_UP = "gravity_odom=[0,0,-1]"
+DRIFT = np.array([0.0, 0.0, 1e-3, 4e-3, 0.0, 0.0])
+"""Of odometry in a frame, in rad and m."""
 
 Frames = Sequence[tuple[DepthFrame, Pose]]
 
@@ -72,11 +74,14 @@ def halved(frame: DepthFrame, stamp_s: float) -> DepthFrame:
 
 @pytest.fixture(scope="module")
 def frames(walk: Frames) -> Frames:
-    """The walk there and back at half the size, with odometry that drifts by 4 mm a frame."""
+    """The walk there and back at half the size, with odometry that drifts by 4 mm, 1 mrad a frame.
+
+    It turns by no whole fraction of the angle between keyframes, which rounding would decide.
+    """
     there_and_back = [*walk[:20], *walk[:19:-1]]
     upright = se3.pose(R_UP_CAMERA, np.zeros(3))
     return [
-        (halved(frame, 100.0 + 0.3 * k), se3.pose(np.eye(3), [0.004 * k, 0, 0]) @ upright @ T)
+        (halved(frame, 100.0 + 0.3 * k), se3.exp(k * DRIFT) @ upright @ T)
         for k, (frame, T) in enumerate(there_and_back)
     ]
 
