@@ -31,9 +31,6 @@ class KissIcpParams(IcpParams):
     max_range_m: float = Field(
         5.0, gt=0, description="Depths farther than this many metres are dropped."
     )
-    convergence: float = Field(
-        3e-4, gt=0, description="ICP stops when the norm of a step (rad and m) is below this."
-    )
     n_threads: int = Field(
         1, ge=0, description="Number of threads; 0 uses all cores, 1 is often faster."
     )

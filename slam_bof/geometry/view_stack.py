@@ -116,9 +116,9 @@ class ViewStack:
         rows = self.rows(views)
         return self._points(rows[..., None], self._sampled.rows[rows, :n_points])
 
-    def pixels(self, n_points: int) -> Indices:
+    def pixels(self) -> Indices:
         """Return the sampled pixels (n, m) of all rows (see ``rows``)."""
-        return np.asarray(self._sampled.rows[:, :n_points])
+        return self._sampled.rows
 
     def surface(self, view_id: int, n_points: int | None = None) -> tuple[Floats, Floats]:
         """Return sampled points (m, 3) of a view with known normals, and the normals (m, 3)."""

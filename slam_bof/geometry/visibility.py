@@ -246,7 +246,8 @@ def rough_score(
         views.arrays(),
         views.rows(matches),
         int(views.rows(query)),
-        views.pixels(n_points),
+        views.pixels(),
+        n_points,
         np.ascontiguousarray(T_match_query, np.float64),
         np.array(tolerance),
     )
@@ -254,14 +255,20 @@ def rough_score(
 
 @compiled
 def _score_both_ways(
-    views: ViewArrays, rows: Indices, query: int, pixels: Indices, T: Array, tolerance: Array
+    views: ViewArrays,
+    rows: Indices,
+    query: int,
+    pixels: Indices,
+    n_points: int,
+    T: Array,
+    tolerance: Array,
 ) -> Floats:
     """Return the lower score of poses (n, 4, 4) of the query in views (n,).
 
-    ``pixels`` (V, m) are those of each view whose points are projected.
+    The points of the first ``n_points`` of ``pixels`` (V, m) of each view are projected.
     """
     scores = np.empty(len(T))
-    own = _points_by_axis(views, query, pixels[query])
+    own = _points_by_axis(views, query, pixels[query, :n_points])
     found, back = np.empty_like(own), np.eye(4)
     for k in range(len(T)):
         out = _score_pose(views, rows[k], own, T[k], tolerance, found)
@@ -270,7 +277,7 @@ def _score_both_ways(
             for j in range(3):
                 back[i, j] = T[k, j, i]
                 back[i, 3] -= T[k, j, i] * T[k, j, 3]
-        theirs = _points_by_axis(views, rows[k], pixels[rows[k]])
+        theirs = _points_by_axis(views, rows[k], pixels[rows[k], :n_points])
         scores[k] = min(out, _score_pose(views, query, theirs, back, tolerance, found))
     return scores
 
