@@ -5,6 +5,7 @@ from slam_bof.bof import (
     PlaceParams,
     bit_images,
     compile_bof,
+    constellation_consensus,
     constellation_correspondences,
     describe_constellation,
     descriptors,
@@ -18,13 +19,16 @@ LOOPS = [
     bit_images.close,
     bit_images.dilate,
     bit_images.outer_contours,
+    constellation_consensus._find_motions,
+    constellation_correspondences._near_pairs,
     constellation_correspondences._peaks,
     layers._cut,
     layers._draw,
     layers._extents,
     levelled_slices._draw_slabs,
-    motion_votes._agreeing,
     motion_votes._cells,
+    motion_votes._distinct,
+    motion_votes._most_votes,
 ]
 
 
