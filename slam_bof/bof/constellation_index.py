@@ -59,7 +59,7 @@ class IndexParams(Params):
         "slices beside their own as well.",
     )
     max_votes: int = Field(
-        200_000,
+        1_000_000,
         gt=0,
         description="Largest number of votes that are counted for a query; in a large map, its "
         "contours of the most common shapes do not vote.",
