@@ -40,12 +40,8 @@ NOWHERE = 2**14 * (1 + 1j)
 """Steps away from anything."""
 FEW_VOTES = 20_000
 """Of more, a vote that stands alone in its cell is left out, for it costs time."""
-NEIGHBOUR = np.float32(0.5)
+NEIGHBOUR = 0.5
 """What a vote in a cell beside counts."""
-BESIDE = np.array(
-    [-1, 1, -(2**AXIS_BITS), 2**AXIS_BITS, -(2 ** (2 * AXIS_BITS)), 2 ** (2 * AXIS_BITS)]
-)
-"""From a cell to those beside it, along z, x and yaw."""
 
 
 class MotionVotes:
@@ -143,27 +139,36 @@ def count_votes(
         (V,) weight of all contours of each view; one with few has fewer votes to get.
     allowed
         (V,) leaves some views out.
-
-    Raises
-    ------
-    IndexError
-        If there is a vote for a view that does not exist.
     """
-    cells, counts = _distinct(np.sort(cells), 1 if len(cells) <= FEW_VOTES else 2)
-    if len(cells) and cells[-1] >> MOTION_BITS >= len(totals):  # compiled loops do not notice
-        raise IndexError(f"found votes for view {cells[-1] >> MOTION_BITS} of {len(totals)}")
-    most = _most_votes(cells, counts, len(totals))
-    voted = np.flatnonzero(most if allowed is None else np.where(allowed, most, 0))
-    votes = most[voted] / np.sqrt(totals[voted] + np.float32(5.0))
-    best = np.argsort(-votes, kind="stable")[:n]
-    return voted[best], votes[best]
+    cells = np.sort(cells)
+    cells, counts = _agreeing(cells, 1 if len(cells) <= FEW_VOTES else 2)
+    views = cells >> np.uint32(MOTION_BITS)
+    counts *= np.float32(1.0) / np.sqrt(totals[views] + np.float32(5.0))
+    if allowed is not None:
+        counts[~allowed[views]] = 0.0
+    best = np.arange(len(cells))
+    if len(best) > 16 * n:
+        best = np.sort(np.argpartition(-counts, 16 * n)[: 16 * n])
+    total = counts[best]
+    for apart in (1, 2**AXIS_BITS, 2 ** (2 * AXIS_BITS)):
+        for beside in (cells[best] - np.uint32(apart), cells[best] + np.uint32(apart)):
+            at = np.minimum(np.searchsorted(cells, beside), len(cells) - 1)
+            total += np.where(cells[at] == beside, np.float32(NEIGHBOUR) * counts[at], 0)
+    voted = views[best].astype(np.intp)
+    first = np.flatnonzero(np.diff(voted, prepend=-1))
+    if len(first) == 0:
+        return np.empty(0, np.intp), np.empty(0, np.float32)
+    most = np.maximum.reduceat(total, first)
+    order = np.argsort(-most, kind="stable")[:n]
+    order = order[most[order] > 0]
+    return voted[first][order], most[order]
 
 
 @compiled
-def _distinct(
+def _agreeing(
     cells: NDArray[np.uint32], least: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the cells with at least so many votes, and how many, of sorted cells of votes."""
+    """Return the cells with at least so many votes, and how many."""
     found, counts = np.empty_like(cells), np.empty(len(cells), np.float32)
     n = begin = 0
     for end in range(1, len(cells) + 1):
@@ -173,32 +178,6 @@ def _distinct(
                 n += 1
             begin = end
     return found[:n], counts[:n]
-
-
-@compiled
-def _most_votes(
-    cells: NDArray[np.uint32], counts: NDArray[np.float32], n_views: int
-) -> NDArray[np.float32]:
-    """Return how many votes of each view (V,) are for one motion, or nearly so.
-
-    A cell gets votes of the cells beside it as well, which are found by going along the sorted
-    cells with one finger for each of the six directions.
-    """
-    most = np.zeros(n_views, np.float32)
-    fingers = np.zeros(len(BESIDE), np.intp)
-    for k in range(len(cells)):
-        total = counts[k]
-        for side in range(len(BESIDE)):
-            beside = np.int64(cells[k]) + BESIDE[side]
-            at = fingers[side]
-            while at < len(cells) and cells[at] < beside:
-                at += 1
-            fingers[side] = at
-            if at < len(cells) and cells[at] == beside:
-                total += NEIGHBOUR * counts[at]
-        view = cells[k] >> MOTION_BITS
-        most[view] = max(most[view], total)
-    return most
 
 
 def phases(bofs: PlacedBofs) -> NDArray[np.uint8]:

@@ -26,9 +26,8 @@ LOOPS = [
     layers._draw,
     layers._extents,
     levelled_slices._draw_slabs,
+    motion_votes._agreeing,
     motion_votes._cells,
-    motion_votes._distinct,
-    motion_votes._most_votes,
 ]
 
 

@@ -273,7 +273,7 @@ def test_votes_in_cells_beside_count_half():
     assert views.tolist() == np.argsort(-expected)[:3].tolist()
     np.testing.assert_allclose(worth, expected[views], rtol=1e-6)
     allowed = np.arange(5) != views[0]
-    assert motion_votes.count_votes(cells, totals, 1, allowed)[0] == views[1:2]
+    assert motion_votes.count_votes(cells, totals, 3, allowed)[0][:2].tolist() == views[1:].tolist()
     assert len(motion_votes.count_votes(cells[:0], totals, 3)[0]) == 0
-    with pytest.raises(IndexError, match="view 3 of 3"):
+    with pytest.raises(IndexError):
         motion_votes.count_votes(cells, totals[:3], 1)
