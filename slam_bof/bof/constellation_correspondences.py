@@ -88,8 +88,8 @@ class Correspondences(NamedTuple):
     """Pairs (M,) of a contour of the query and one of the matches, with the motion of each.
 
     ``query_m`` and ``match_m`` (complex ``x + i z``) are their centroids. ``yaw`` (rad), ``shift``
-    (complex, m) and ``height`` (m) take the query's levelled frame to the match's; ``weight`` is
-    what a pair counts.
+    (complex, m) and ``height`` (m) take the query's levelled frame to the match's, ``turn`` is
+    exp(i yaw), and ``weight`` is what a pair counts.
     """
 
     query: NDArray[np.intp]
@@ -97,6 +97,7 @@ class Correspondences(NamedTuple):
     query_m: NDArray[np.complex64]
     match_m: NDArray[np.complex64]
     yaw: NDArray[np.float32]
+    turn: NDArray[np.complex64]
     shift: NDArray[np.complex64]
     height: NDArray[np.float32]
     weight: NDArray[np.float32]
@@ -115,19 +116,20 @@ def find_correspondences(
     yaws = _yaws(params.max_yaw_deg)
     turned = _turn(query.codes, yaws)
     codes = others.codes.take(b, axis=0)
-    similarity = np.empty((len(yaws), len(a)), np.float32)
+    similarity = np.empty((len(a), len(yaws)), np.float32)
     bounds = np.searchsorted(a, np.arange(len(query.codes) + 1))
     for k, (start, stop) in enumerate(pairwise(bounds.tolist())):
-        similarity[:, start:stop] = turned[k] @ codes[start:stop].T
+        np.matmul(codes[start:stop], turned[k], out=similarity[start:stop])
     kept, yaw, highest = _peaks(similarity, yaws, np.float32(params.min_similarity))
     a, b = a.take(kept), b.take(kept)
     query_m, match_m = query.centroids_m.take(a), others.centroids_m.take(b)
-    shift = match_m - np.exp(1j * yaw).astype(np.complex64) * query_m
+    turn = np.cos(yaw) + 1j * np.sin(yaw)
+    shift = match_m - turn * query_m
     slices_up = others.slices.take(b) - query.slices.take(a).astype(np.int16)
     height = slices_up * np.float32(SLICE_STEP_M)
     weight = np.sqrt(weights(query).take(a) * weights(others).take(b))
     weight *= (highest - np.float32(params.min_similarity)) / np.float32(1 - params.min_similarity)
-    pairs = Correspondences(a, b, query_m, match_m, yaw, shift, height.astype(np.float32), weight)
+    pairs = Correspondences(a, b, query_m, match_m, yaw, turn, shift, height, weight)
     return pairs.take(np.flatnonzero(np.abs(shift) < params.max_distance_m))
 
 
@@ -141,47 +143,63 @@ def _candidates(
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the pairs (M,), (M,) of contours of about one height, size and mean radius."""
     order = np.argsort(others.slices, kind="stable")
-    slices, log_radii, means = (
-        column.take(order) for column in (others.slices, others.log_radii, others.means)
-    )
+    slices = others.slices.take(order)
     low = np.searchsorted(slices, query.slices - params.max_slices)
     high = np.searchsorted(slices, query.slices + params.max_slices, side="right")
-    counts = high - low
-    b = np.repeat(low - (np.cumsum(counts) - counts), counts)
-    b += np.arange(len(b))
-    log_ratio = np.float32(np.log(params.max_size_ratio))
-    near = np.abs(np.repeat(query.log_radii, counts) - log_radii.take(b)) < log_ratio
-    difference = np.repeat(query.means, counts) - means.take(b)
-    near &= np.abs(difference) < np.float32(params.max_mean_difference)
-    kept = np.flatnonzero(near)
-    return np.repeat(np.arange(len(counts)), counts).take(kept), order.take(b.take(kept))
+    sizes = query.log_radii, others.log_radii.take(order)
+    means = query.means, others.means.take(order)
+    max_log_ratio = np.float32(np.log(params.max_size_ratio))
+    max_difference = np.float32(params.max_mean_difference)
+    a, at = _near_pairs(low, high, sizes, means, max_log_ratio, max_difference)
+    return a, order.take(at)
+
+
+@compiled
+def _near_pairs(
+    low: NDArray[np.intp],
+    high: NDArray[np.intp],
+    sizes: tuple[NDArray[np.float32], NDArray[np.float32]],
+    means: tuple[NDArray[np.float32], NDArray[np.float32]],
+    max_size: np.float32,
+    max_mean: np.float32,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return which contours of the query (C,) are near which of the others from low to high."""
+    n_pairs = (high - low).sum()
+    a, b = np.empty(n_pairs, np.intp), np.empty(n_pairs, np.intp)
+    n = 0
+    for k in range(len(low)):
+        for at in range(low[k], high[k]):
+            a[n], b[n] = k, at
+            is_near = abs(sizes[0][k] - sizes[1][at]) < max_size
+            n += is_near & (abs(means[0][k] - means[1][at]) < max_mean)
+    return a[:n], b[:n]
 
 
 @compiled
 def _peaks(
     similarity: NDArray[np.float32], yaws: NDArray[np.float32], least: np.float32
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
-    """Return the pairs (K,) of which a similarity (Y, M) is above the least.
+    """Return the pairs (K,) of which a similarity (M, Y) is above the least.
 
     Also where each is highest, by a parabola through three, and how high.
     """
-    n_yaws, n_pairs = similarity.shape
+    n_pairs, n_yaws = similarity.shape
     kept = np.empty(n_pairs, np.intp)
     yaw, highest = np.empty(n_pairs, np.float32), np.empty(n_pairs, np.float32)
     half, double = np.float32(0.5), np.float32(2.0)
     n = 0
     for pair in range(n_pairs):
+        along = similarity[pair]
         best = 0
         for k in range(1, n_yaws):
-            if similarity[k, pair] > similarity[best, pair]:
+            if along[k] > along[best]:
                 best = k
-        if similarity[best, pair] > least:
+        if along[best] > least:
             middle = min(max(best, 1), n_yaws - 2)
-            left, top = similarity[middle - 1, pair], similarity[middle, pair]
-            right = similarity[middle + 1, pair]
+            left, top, right = along[middle - 1], along[middle], along[middle + 1]
             bend = min(left - double * top + right, np.float32(-1e-6))
             beside = min(max(half * (left - right) / bend, np.float32(-1.0)), np.float32(1.0))
-            kept[n], highest[n] = pair, similarity[best, pair]
+            kept[n], highest[n] = pair, along[best]
             yaw[n] = yaws[middle] + beside * (yaws[1] - yaws[0])
             n += 1
     return kept[:n], yaw[:n], highest[:n]
@@ -195,8 +213,8 @@ def _yaws(max_yaw_deg: float) -> NDArray[np.float32]:
 
 
 def _turn(codes: NDArray[np.float32], yaws: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return codes (C, Y, 2 N_HARMONICS) of contours (C,) turned by each yaw."""
+    """Return codes (C, 2 N_HARMONICS, Y) of contours (C,) turned by each yaw."""
     half = N_HARMONICS
-    turn = np.exp(-1j * np.outer(yaws, np.arange(half))).astype(np.complex64)
-    turned = (codes[:, :half] + 1j * codes[:, half:])[:, None] * turn
-    return np.concatenate([turned.real, turned.imag], axis=-1)
+    turn = np.exp(-1j * np.outer(np.arange(half), yaws)).astype(np.complex64)
+    turned = (codes[:, :half] + 1j * codes[:, half:])[:, :, None] * turn
+    return np.concatenate([turned.real, turned.imag], axis=1)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from slam_bof.bof.constellation import PlacedBofs
-from slam_bof.bof.constellation_consensus import Motions, fit_motions, vote
+from slam_bof.bof.constellation_consensus import Motions, find_motions
 from slam_bof.bof.constellation_correspondences import (
     MatchingParams,
     find_correspondences,
@@ -59,7 +59,7 @@ class IndexParams(Params):
         "slices beside their own as well.",
     )
     max_votes: int = Field(
-        200_000,
+        1_000_000,
         gt=0,
         description="Largest number of votes that are counted for a query; in a large map, its "
         "contours of the most common shapes do not vote.",
@@ -269,12 +269,12 @@ class ConstellationIndex:
         which = np.repeat(np.arange(len(views)), counts)
         rows = np.arange(len(which)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
         pairs = find_correspondences(query, unpack_constellation(self._rows.rows.take(rows)), p)
-        votes = vote(pairs, which[pairs.match], len(views), p)
+        found = find_motions(pairs, which[pairs.match], len(views), p, n_motions)
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
-        scores = votes.worth / np.maximum(total, np.float32(1e-6))
+        scores = found.worth[0] / np.maximum(total, np.float32(1e-6))
         best = np.argsort(-scores, kind="stable")
-        motions, others = fit_motions(votes, best, p), []
-        for _ in range(n_motions - 1):
-            votes = vote(*votes.disagreeing(), len(views), p)
-            others.append(fit_motions(votes, best, p))
+        columns: tuple[NDArray[Any], ...] = found.motions
+        motions, *others = (
+            Motions(*(column[motion, best] for column in columns)) for motion in range(n_motions)
+        )
         return Found(views[best], scores[best], motions, tuple(others))

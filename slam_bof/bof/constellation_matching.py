@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from slam_bof.bof.constellation import Constellation
-from slam_bof.bof.constellation_consensus import MIN_AGREEMENT, Motions, fit_motions, vote
+from slam_bof.bof.constellation_consensus import Motions, find_motions
 from slam_bof.bof.constellation_correspondences import (
     MatchingParams,
     find_correspondences,
@@ -48,20 +49,19 @@ def match_constellations(
     p = params or MatchingParams()
     pairs = find_correspondences(query.bofs, other.bofs, p)
     views = np.zeros(len(pairs.query), np.intp)
+    found = find_motions(pairs, views, 1, p, p.max_hypotheses)
     total = np.sqrt(weights(query.bofs).sum() * weights(other.bofs).sum())
     hypotheses: list[PoseHypothesis] = []
-    while len(pairs.query) and len(hypotheses) < p.max_hypotheses:
-        votes = vote(pairs, views, 1, p)
-        score = float(votes.worth[0] / total)
-        if hypotheses and score < p.min_score_ratio * hypotheses[0].score:
+    for motion, worth in enumerate(found.worth[:, 0]):
+        if worth == 0.0 or worth < p.min_score_ratio * found.worth[0, 0]:
             break
+        columns: tuple[NDArray[Any], ...] = found.motions
+        motions = Motions(*(column[motion] for column in columns))
         R_match = other.R_level_camera[None]
-        motions = fit_motions(votes, np.zeros(1, np.intp), p)
         T = camera_motions(motions, query.R_level_camera, R_match)[0]
-        agrees = votes.agreement > MIN_AGREEMENT
-        inliers = np.stack([votes.pairs.query[agrees], votes.pairs.match[agrees]], axis=1)
-        hypotheses.append(PoseHypothesis(score, T, inliers))
-        pairs, views = votes.disagreeing()
+        agrees = found.motion_of_pair == motion
+        inliers = np.stack([pairs.query[agrees], pairs.match[agrees]], axis=1)
+        hypotheses.append(PoseHypothesis(float(worth / total), T, inliers))
     return hypotheses
 
 

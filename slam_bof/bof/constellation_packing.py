@@ -35,8 +35,8 @@ STEPS_PER_M = 128
 """Of places."""
 _CODE_SCALE = np.full(2 * N_HARMONICS, 127 / 0.5, np.float32)
 _CODE_SCALE[0] = 127.0  # the mean, which is nearly all of a code's length
-_LOG_RADIUS = (np.log(0.05), 0.02)
-_LOG_LENGTH = (np.log(0.05), 0.03)
+_LOG_RADIUS = (np.log(np.float32(0.05)), np.float32(0.02))
+_LOG_LENGTH = (np.log(np.float32(0.05)), np.float32(0.03))
 """The lowest and the step."""
 
 
@@ -80,8 +80,8 @@ def unpack_constellation(rows: NDArray[np.void]) -> PlacedBofs:
     return PlacedBofs(
         rows["slice"].copy(),
         place[:, 0] + 1j * place[:, 1],
-        _LOG_RADIUS[0] + rows["log_radius"].astype(np.float32) * np.float32(_LOG_RADIUS[1]),
+        _LOG_RADIUS[0] + rows["log_radius"].astype(np.float32) * _LOG_RADIUS[1],
         rows["mean"].astype(np.float32) * np.float32(1 / 255),
-        np.exp(_LOG_LENGTH[0] + rows["log_length"].astype(np.float32) * np.float32(_LOG_LENGTH[1])),
+        np.exp(_LOG_LENGTH[0] + rows["log_length"].astype(np.float32) * _LOG_LENGTH[1]),
         rows["code"].astype(np.float32) * np.float32(1) / _CODE_SCALE,
     )

@@ -28,7 +28,7 @@ def compile_alignment() -> str:
     for _ in range(2):
         aligner.add(make_view(wall))
     matches, T = np.array([0]), np.eye(4)[None]
-    aligner.rough_score(1, matches, T)
+    aligner.rough_score(1, matches, T, np.zeros(1))
     aligner.align(1, matches, T[None])
     aligner.agreement(1, matches, T)
     open_directions(aligner, 1, 0, T[0])

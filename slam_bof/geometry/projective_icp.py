@@ -17,6 +17,7 @@ from pydantic import Field
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.point_to_plane import associate, refine
+from slam_bof.geometry.pose_scores import rough_score, score_poses
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
     Agreement,
@@ -26,8 +27,6 @@ from slam_bof.geometry.visibility import (
     agreement_score,
     classify_points,
     coverage,
-    rough_score,
-    score_poses,
 )
 from slam_bof.types import Array, Params
 
@@ -59,8 +58,9 @@ class AlignmentParams(Params):
     )
     n_rounds: int = Field(
         3,
-        gt=0,
-        description="Number of rounds, each around the two best poses with half the spread.",
+        ge=0,
+        description="Number of rounds, each around the two best poses with half the spread. "
+        "Without any, alignment begins at the first start of each pair.",
     )
     sigma_deg: tuple[float, float, float] = Field(
         (6.0, 7.0, 5.0),
@@ -194,13 +194,20 @@ class ViewAligner:
             tolerance = tolerance * 0.7
         return starts[:, 0]
 
-    def rough_score(self, query: int, matches: Indices, T_match_query: Array) -> Floats:
-        """Score poses (n, 4, 4) by few points, (n,): by those of the view that agrees less."""
+    def rough_score(
+        self, query: int, matches: Indices, T_match_query: Array, bonus: Array
+    ) -> Floats:
+        """Score poses (n, 4, 4) by few points, (n,): by those of the view that agrees less.
+
+        A ``bonus`` (n,) is added. Of poses of one match that follow each other, those that cannot
+        become the best any more are scored one way only, which may be too high, but not the best.
+        """
         return rough_score(
             self._views,
             query,
             matches,
             T_match_query,
+            bonus,
             self.params.n_search_points,
             self.params.search_tolerance,
         )

@@ -6,10 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.core import GrowingArray
 from slam_bof.geometry import se3
-from slam_bof.types import Pose
+from slam_bof.types import Array, Pose
 
 __all__ = ["FollowedMatches"]
 
@@ -34,20 +35,27 @@ class FollowedMatches:
         """Follow the matches of a view: the id of each and ``T_match_query``."""
         self._last_id, self._matches = view_id, matches
 
-    def propose(self, view_id: int, neighbours: Callable[[int], list[int]]) -> dict[int, Pose]:
-        """Return the views around the followed matches, with ``T_neighbour_query`` of each.
+    def propose(
+        self, view_id: int, neighbours: Callable[[int], list[int]]
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Return the views (n,) around the followed matches, and ``T_neighbour_query`` (n, 4, 4).
 
         ``neighbours`` returns the ids of the views around a match. A view around several matches
         gets the pose from the first of them.
         """
         T_odom_camera = self._T_odom_camera.rows
         T_last_query = se3.inverse(T_odom_camera[self._last_id]) @ T_odom_camera[view_id]
-        proposed: dict[int, Pose] = {}
-        for match_id, T_match_last in self._matches:
-            T_odom_query = T_odom_camera[match_id] @ (T_match_last @ T_last_query)
+        match_of: dict[int, int] = {}
+        for match, (match_id, _) in enumerate(self._matches):
             for near in neighbours(match_id):
-                proposed.setdefault(near, se3.inverse(T_odom_camera[near]) @ T_odom_query)
-        return proposed
+                match_of.setdefault(near, match)
+        if not match_of:
+            return np.empty(0, np.intp), np.empty((0, 4, 4))
+        match_ids, T_match_last = zip(*self._matches, strict=True)
+        T_odom_query = T_odom_camera[list(match_ids)] @ (np.array(T_match_last) @ T_last_query)
+        near_ids = np.array(list(match_of), np.intp)
+        T_near_odom = se3.inverse(T_odom_camera[near_ids])
+        return near_ids, T_near_odom @ T_odom_query[list(match_of.values())]
 
     def state(self) -> list[Any]:
         """Return the followed matches as JSON values."""

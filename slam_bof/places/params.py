@@ -52,4 +52,4 @@ class RecogniserParams(Params):
     constellation: ConstellationParams = ConstellationParams()
     gravity: GravityParams = GravityParams()
     search: IndexParams = IndexParams()
-    alignment: AlignmentParams = AlignmentParams(n_poses=16, n_rounds=2)
+    alignment: AlignmentParams = AlignmentParams(n_rounds=0)

@@ -42,6 +42,9 @@ UPRIGHT = np.array([0.0, 1.0, 0.0])
 NEARNESS = 2.0
 """Weight of ``near_bonus`` before alignment, when views agree less than they will."""
 
+NOTHING_FOLLOWED = (np.empty(0, np.intp), np.empty((0, 4, 4)))
+"""Ids and poses of views to be tried because the last query matched."""
+
 Compare = Callable[[int, NDArray[np.integer[Any]], Array], Agreement]
 """Measures the agreement of a view with others (n,) at poses ``T_match_query`` (n, 4, 4)."""
 
@@ -244,14 +247,14 @@ class PlaceRecogniser:
             raise ValueError(
                 f"found view {view_id} and {n_views} to search, expected of {len(self)} views"
             )
-        followed: dict[int, Pose] = {}
+        followed = NOTHING_FOLLOWED
         if follow:
             near = partial(self._index.neighbours, n=p.n_neighbours, below=n_views)
             followed = self._followed.propose(view_id, near)
         ids, starts, _ = self._shortlist(view_id, n_views, exclude, followed)
         if len(ids) == 0:
             return []
-        T = self.aligner.refine(view_id, ids, self.aligner.search(view_id, ids, starts[:, None]))
+        T = self.aligner.align(view_id, ids, starts[:, None])
         inlier_ratio, free_space_violation, _ = self.aligner.agreement(view_id, ids, T)
         scores = self._score(T, inlier_ratio - free_space_violation)
         matches = [
@@ -278,23 +281,22 @@ class PlaceRecogniser:
         The score is -1 for views that were not compared, are in ``exclude`` or were deactivated.
         The query itself must not be deactivated.
         """
-        return self._shortlist(view_id, n_views, exclude, {})
+        return self._shortlist(view_id, n_views, exclude, NOTHING_FOLLOWED)
 
     def _shortlist(
         self,
         view_id: int,
         n_views: int,
         exclude: NDArray[np.integer[Any]] | None,
-        followed: dict[int, Pose],
+        followed: tuple[NDArray[np.intp], Array],
     ) -> Shortlist:
         """Score all proposed poses by the depth of few points, and keep the best of each view."""
         p, R = self.params, self._R_level_camera.rows
         ids, motions = self._index.propose(view_id, n_views, exclude=exclude)
-        T = camera_motions(motions, R[view_id], R[ids])
-        ids = np.append(ids, np.array(list(followed), np.intp))
-        T = np.concatenate([T, np.array(list(followed.values())).reshape(-1, 4, 4)])
-        worth = self.aligner.rough_score(view_id, ids, T)
-        worth += NEARNESS * p.near_bonus * self._nearness(T)
+        T = np.concatenate([camera_motions(motions, R[view_id], R[ids]), followed[1]])
+        ids = np.append(ids, followed[0])
+        bonus = NEARNESS * p.near_bonus * self._nearness(T)
+        worth = self.aligner.rough_score(view_id, ids, T, bonus)
         order = np.argsort(-worth, kind="stable")
         _, first = np.unique(ids[order], return_index=True)
         best = order[np.sort(first)]

@@ -26,8 +26,8 @@ cuts their contours, and what is left of them in two views need not correspond."
 class Proposals(NamedTuple):
     """Poses at which views may show the same place as a query.
 
-    A view has several: ``view_ids`` (n,) are repeated. ``motions`` (n,) are the poses of the
-    levelled frame of the query in those of the views.
+    A view has several, one after another: ``view_ids`` (n,) are repeated. ``motions`` (n,) are the
+    poses of the levelled frame of the query in those of the views.
     """
 
     view_ids: NDArray[np.intp]
@@ -86,8 +86,8 @@ class ViewIndex:
         motions = [found.motions, *found.others, *turns]
         columns: zip[tuple[NDArray[Any], ...]] = zip(*motions, strict=True)
         return Proposals(
-            np.tile(ids[found.view_ids], len(motions)),
-            Motions(*(np.concatenate(column) for column in columns)),
+            np.repeat(ids[found.view_ids], len(motions)),
+            Motions(*(np.stack(column, axis=1).reshape(-1) for column in columns)),
         )
 
 

@@ -254,3 +254,26 @@ def test_indices_are_joined_as_if_all_had_been_added_to_one():
         if name in ("rows", "starts"):
             np.testing.assert_array_equal(array, joined.columns()[name])
     same_answers(joined, whole, range(0, 90, 9))
+
+
+def test_votes_in_cells_beside_count_half():
+    random = np.random.default_rng(1)
+    # Few cells of few views, so that many lie beside each other.
+    motions = random.integers(0, 2**MOTION_BITS, 300) & 0b011_0011_0011
+    cells = (random.integers(0, 4, 300) << MOTION_BITS | motions).astype(np.uint32)
+    totals = random.uniform(1.0, 40.0, 5).astype(np.float32)
+    votes = {int(cell): int((cells == cell).sum()) for cell in cells}
+    expected = np.zeros(5)
+    for cell, n_votes in votes.items():
+        beside = (votes.get(cell + s * apart, 0) for s in (-1, 1) for apart in (1, 16, 256))
+        view = cell >> MOTION_BITS
+        worth = (n_votes + sum(beside) / 2) / np.sqrt(totals[view] + 5.0)
+        expected[view] = max(expected[view], worth)
+    views, worth = motion_votes.count_votes(cells, totals, 3)
+    assert views.tolist() == np.argsort(-expected)[:3].tolist()
+    np.testing.assert_allclose(worth, expected[views], rtol=1e-6)
+    allowed = np.arange(5) != views[0]
+    assert motion_votes.count_votes(cells, totals, 3, allowed)[0][:2].tolist() == views[1:].tolist()
+    assert len(motion_votes.count_votes(cells[:0], totals, 3)[0]) == 0
+    with pytest.raises(IndexError):
+        motion_votes.count_votes(cells, totals[:3], 1)

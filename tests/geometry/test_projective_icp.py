@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from slam_bof.geometry import AlignmentParams, DepthView, ViewAligner, make_view, se3
+from slam_bof.geometry import (
+    AlignmentParams,
+    DepthView,
+    ViewAligner,
+    make_view,
+    point_to_plane,
+    se3,
+)
 from slam_bof.types import DepthFrame, Intrinsics
 
 ONE = np.array([0])
@@ -59,12 +66,32 @@ def test_few_points_score_the_true_motion_best_from_either_side(pair):
     aligner, T_match_query = pair
     wrong = se3.exp(np.array([[0, 0.2, 0, 0, 0, 0], [0, 0, 0, 0, 0, -0.4], [0, 3.0, 0, 0, 0, 0]]))
     poses = np.concatenate([T_match_query[None], T_match_query @ wrong])
-    scores = aligner.rough_score(1, np.zeros(4, int), poses)
+    scores = score_each(aligner, 1, 0, poses)
     assert scores.argmax() == 0
     assert scores[0] > max(0.4, scores[1] + 0.1, scores[2] + 0.1)
     assert scores[3] <= 0.0  # they look away from each other
-    back = aligner.rough_score(0, np.ones(4, int), se3.inverse(poses))
+    back = score_each(aligner, 0, 1, se3.inverse(poses))
     np.testing.assert_allclose(back, scores, atol=1e-9)
+
+
+def score_each(aligner, query, match, poses):
+    """Score each pose by itself."""
+    matches, bonus = np.array([match]), np.zeros(1)
+    return np.array([aligner.rough_score(query, matches, T[None], bonus)[0] for T in poses])
+
+
+@pytest.mark.parametrize("best", [0, 2])
+def test_of_several_poses_of_a_pair_the_best_has_its_own_rough_score(pair, best):
+    aligner, T_match_query = pair
+    random = np.random.default_rng(0)
+    poses = T_match_query @ se3.exp(0.1 * random.standard_normal((30, 6)))
+    bonus = random.uniform(0.0, 0.2, len(poses))
+    expected = score_each(aligner, 1, 0, poses) + bonus
+    order = np.roll(np.argsort(-expected), best)
+    found = aligner.rough_score(1, np.zeros(len(poses), int), poses[order], bonus[order])
+    assert found.argmax() == best
+    assert found.max() == pytest.approx(expected.max(), abs=1e-12)
+    assert (found >= expected[order] - 1e-12).all()
 
 
 def test_a_view_agrees_with_itself_altogether(pair):
@@ -168,3 +195,21 @@ def test_pairs_that_rest_on_the_way_end_where_restless_ones_do(look, standpoint,
         moved_m, turned_deg = error(rested, restless)
         assert moved_m < 0.004
         assert turned_deg < 0.1
+
+
+@pytest.mark.parametrize("least", [1.0, 1e-2, 1e-9])
+def test_steps_along_directions_with_little_information_are_shortened(least):
+    random = np.random.default_rng(0)
+    rows = random.standard_normal((20, 6)) * [1, 1, 1, 1, least, least] / 20
+    information, right, step = rows.T @ rows, random.standard_normal(6), np.empty(6)
+    assert point_to_plane._shortened_step(information, right, step)
+    values, vectors = np.linalg.eigh(information)
+    gains = values / (values**2 + point_to_plane.MIN_INFORMATION**2)
+    np.testing.assert_allclose(step, vectors @ (gains * (vectors.T @ right)), rtol=1e-6, atol=1e-9)
+
+
+def test_without_definite_information_there_is_no_step_by_triangular_factors():
+    information = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, -1e-3])
+    step = np.ones(6)
+    assert not point_to_plane._shortened_step(information, np.ones(6), step)
+    assert step.tolist() == [0.0] * 6
