@@ -37,7 +37,6 @@ from .gravity import (
     level_frame as level_frame,
 )
 from .observability import (
-    N_SEARCH_STAGES as N_SEARCH_STAGES,
     PrincipalDirections as PrincipalDirections,
     open_directions as open_directions,
     search_weak_directions as search_weak_directions,

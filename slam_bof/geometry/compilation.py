@@ -31,5 +31,6 @@ def compile_alignment() -> str:
     aligner.rough_score(1, matches, T)
     aligner.align(1, matches, T[None])
     aligner.agreement(1, matches, T)
+    aligner.coverage(1, matches, T)
     open_directions(aligner, 1, 0, T[0])
     return find_kept(refine)

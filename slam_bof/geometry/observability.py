@@ -8,7 +8,6 @@ alignment says nothing along it.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,6 @@ from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.types import Array, Pose
 
 __all__ = [
-    "N_SEARCH_STAGES",
     "PrincipalDirections",
     "open_directions",
     "search_weak_directions",
@@ -38,8 +36,6 @@ MIN_VISIBLE_SHARE = 0.8
 """Another pose must keep this share of the overlap, because a small overlap agrees by chance."""
 SEARCH_ROUNDS = ((64, 0.15, 4), (32, 0.06, 2))
 """Number of poses tried in a round, their spread in m, and the number refined of them."""
-N_SEARCH_STAGES = 1 + len(SEARCH_ROUNDS)
-"""A search tries the starts it is given, and then each round."""
 OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
 MAX_WEAK_AXES = 4
@@ -182,9 +178,16 @@ def open_directions(
         return directions, weak
     shifts = SHIFT_M * np.concatenate([weak.T, -weak.T])
     tried = np.concatenate([T_match_query[None], T_match_query @ directions.displace(shifts)])
-    score = aligner.agreement_score(query, np.full(len(tried), match), tried).score
-    drop = (score[0] - score[1:]).reshape(2, -1).max(axis=0)
-    return directions, weak[:, drop < MIN_SCORE_DROP]
+    one_way, other_way = tried[: 1 + weak.shape[1]], tried[1 + weak.shape[1] :]
+
+    def score(T: Array) -> Array:
+        return np.asarray(aligner.agreement_score(query, np.full(len(T), match), T).score)
+
+    here, *shifted = score(one_way)
+    is_open = here - np.array(shifted) < MIN_SCORE_DROP
+    if is_open.any():  # for others the second way would be of no account
+        is_open[is_open] = here - score(other_way[is_open]) < MIN_SCORE_DROP
+    return directions, weak[:, is_open]
 
 
 def search_weak_directions(
@@ -195,42 +198,45 @@ def search_weak_directions(
     starts: Array,
     *,
     seed: int,
-    stages: Collection[int] = range(N_SEARCH_STAGES),
 ) -> Pose:
     """Search for a pose (4, 4) that agrees better; return ``T_match_query`` if there is none.
 
-    Alignment starts again from ``starts`` (n, 4, 4), which is stage 0, and then from random poses
-    along the weakly held directions of the best pose so far, a round in each further stage.
+    Alignment starts again from ``starts`` (n, 4, 4), and then, in rounds, from random poses along
+    the weakly held directions of the best pose so far. It is a rough one until the best is known.
     """
     rng = np.random.default_rng(seed)
-    best = T_match_query
-    before = aligner.agreement_score(query, np.array([match]), best[None])
-    best_score = before.score[0]
+    before = aligner.agreement_score(query, np.array([match]), T_match_query[None])
+    best, best_score = T_match_query, float(before.score[0])
     least_visible = MIN_VISIBLE_SHARE * before.visible_ratio[0]
+    directions: PrincipalDirections | None = None  # of the best pose so far
 
-    def take_better(tried: Array) -> None:
-        nonlocal best, best_score
-        matches = np.full(len(tried), match)
-        T = aligner.refine(query, matches, tried)
-        score, visible_ratio = aligner.agreement_score(query, matches, T)
+    def best_of(T: Array) -> tuple[Pose, float]:
+        """Return which of poses (n, 4, 4) agrees best, and its score."""
+        score, visible_ratio = aligner.agreement_score(query, np.full(len(T), match), T)
         score = np.where(visible_ratio >= least_visible, score, -np.inf)
         k = int(np.argmax(score))
-        if score[k] > best_score + MIN_SCORE_GAIN:
-            best, best_score = T[k], score[k]
+        return T[k], float(score[k])
 
-    if len(starts) and 0 in stages:
+    def take_better(tried: Array) -> None:
+        nonlocal best, best_score, directions
+        T, score = best_of(aligner.refine_roughly(query, np.full(len(tried), match), tried))
+        if score > best_score + MIN_SCORE_GAIN:
+            best, best_score, directions = T, score, None
+
+    if len(starts):
         take_better(starts)
-    for stage, (n, sigma_m, n_best) in enumerate(SEARCH_ROUNDS, 1):
-        if stage not in stages:
-            continue
-        (pairs,) = aligner.surface_pairs(query, np.array([match]), best[None])
-        directions = PrincipalDirections.of(pairs)
+    for n, sigma_m, n_best in SEARCH_ROUNDS:
         if directions is None:
+            (pairs,) = aligner.surface_pairs(query, np.array([match]), best[None])
+            directions = PrincipalDirections.of(pairs)
+        if directions is None:  # too few surfaces to hold anything
             break
         n_weak = int(np.clip(directions.weak_axes.shape[1], 1, MAX_WEAK_AXES))
-        weak = directions.axes[:, :n_weak]
-        displacements = sigma_m * rng.standard_normal((n, weak.shape[1])) @ weak.T
-        tried = best @ directions.displace(displacements)
+        shifts = sigma_m * rng.standard_normal((n, n_weak)) @ directions.axes[:, :n_weak].T
+        tried = best @ directions.displace(shifts)
         coarse = aligner.coarse_score(query, match, tried)
         take_better(tried[np.argsort(-coarse, kind="stable")[:n_best]])
-    return best
+    if best is T_match_query:
+        return best
+    refined, score = best_of(aligner.refine(query, np.array([match]), best[None]))
+    return refined if score > before.score[0] + MIN_SCORE_GAIN else T_match_query

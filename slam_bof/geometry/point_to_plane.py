@@ -215,23 +215,26 @@ def _weights(pairs: Array, gate_m: float) -> Array:
     outweigh the few that hold a view sideways. This is the normal-space sampling of Rusinkiewicz
     and Levoy (2001), by weights.
     """
-    spread = MIN_SPREAD * np.eye(3)
-    for k in range(len(pairs)):
-        for i in range(3):
-            for j in range(3):
-                spread[i, j] += pairs[k, 3 + i] * pairs[k, 3 + j] / len(pairs)
-    rarity = np.linalg.inv(spread)
-    weights = np.empty(len(pairs))
-    total = 0.0
-    for k in range(len(pairs)):
-        leverage = 0.0
-        for i in range(3):
-            for j in range(3):
-                leverage += pairs[k, 3 + i] * rarity[i, j] * pairs[k, 3 + j]
+    m = len(pairs)
+    xx = xy = xz = yy = yz = zz = 0.0
+    for k in range(m):
+        p, q, r = pairs[k, 3], pairs[k, 4], pairs[k, 5]
+        xx, xy, xz = xx + p * p, xy + p * q, xz + p * r
+        yy, yz, zz = yy + q * q, yz + q * r, zz + r * r
+    spread = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) / m + MIN_SPREAD * np.eye(3)
+    rarity = np.linalg.inv(spread) / 3.0
+    a, b, c = rarity[0, 0], rarity[1, 1], rarity[2, 2]
+    d, e, f = 2.0 * rarity[0, 1], 2.0 * rarity[0, 2], 2.0 * rarity[1, 2]
+    weights = np.empty(m)
+    for k in range(m):
+        p, q, r = pairs[k, 3], pairs[k, 4], pairs[k, 5]
+        leverage = p * (a * p + d * q + e * r) + q * (b * q + f * r) + c * r * r
         off = 2.0 * pairs[k, 9] / gate_m
-        robust = 1.0 / (1.0 + off * off) ** 2
-        near = 1.0 / (0.2 + 0.2 * pairs[k, 2] * pairs[k, 2])
-        weights[k] = robust * near * min(leverage / 3.0, MAX_LEVERAGE)
+        doubt = 1.0 + off * off
+        far = 0.2 + 0.2 * pairs[k, 2] * pairs[k, 2]
+        weights[k] = min(leverage, MAX_LEVERAGE) / (doubt * doubt * far)
+    total = 0.0
+    for k in range(m):
         total += weights[k]
     return weights / max(total, 1e-6)
 

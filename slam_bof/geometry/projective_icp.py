@@ -17,17 +17,19 @@ from pydantic import Field
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView
 from slam_bof.geometry.point_to_plane import associate, refine
+from slam_bof.geometry.pose_scores import (
+    AgreementScore,
+    agreement_score,
+    rough_score,
+    score_poses,
+)
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
     Agreement,
-    AgreementScore,
     Coverage,
     agreement,
-    agreement_score,
     classify_points,
     coverage,
-    rough_score,
-    score_poses,
 )
 from slam_bof.types import Array, Params
 
@@ -133,6 +135,10 @@ class ViewAligner:
         n_coarse_points = min(params.n_points, params.n_coarse_points)
         self._gates_m = np.geomspace(*params.gates_m, params.n_iterations)
         self._n_points = np.where(is_fine, params.n_points, n_coarse_points)
+        # Of each iteration of a rough alignment:
+        n_rough_iterations = -(-params.n_iterations // 2)
+        self._rough_gates_m = np.geomspace(*params.gates_m, n_rough_iterations)
+        self._n_rough_points = np.full(n_rough_iterations, -(-params.n_points // 2))
 
     def add(self, view: DepthView) -> None:
         """Hold another view; ids count from 0.
@@ -212,13 +218,24 @@ class ViewAligner:
         Starts are rounded to single precision: those that differ in the last digits, as in a map
         that was loaded again, end at the same pose.
         """
+        return self._refine(query, matches, T_match_query, self._gates_m, self._n_points)
+
+    def refine_roughly(self, query: int, matches: Indices, T_match_query: Array) -> Array:
+        """Do as ``refine`` with half the points and half the iterations, to choose from many."""
+        return self._refine(
+            query, matches, T_match_query, self._rough_gates_m, self._n_rough_points
+        )
+
+    def _refine(
+        self, query: int, matches: Indices, T_match_query: Array, gates_m: Array, n_points: Indices
+    ) -> Array:
         return refine(
             self._views.arrays(),
             self._views.rows(matches),
-            *self._views.surface(query),
+            *self._views.surface(query, int(n_points.max())),
             se3.nearest_pose(T_match_query.astype(np.float32)),
-            self._gates_m,
-            self._n_points,
+            gates_m,
+            n_points,
             self.params.min_step,
             self.params.n_final_iterations,
         )

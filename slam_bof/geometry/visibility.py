@@ -17,7 +17,6 @@ from slam_bof.geometry import se3
 from slam_bof.geometry.projection import (
     ViewArrays,
     by_axis,
-    interpolated_depth,
     nearest_pixel,
     project,
     sampled_by_axis,
@@ -27,21 +26,12 @@ from slam_bof.types import Array
 
 __all__ = [
     "Agreement",
-    "AgreementScore",
     "Coverage",
     "PointVisibility",
     "agreement",
-    "agreement_score",
     "classify_points",
     "coverage",
-    "rough_score",
-    "score_poses",
 ]
-
-
-SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
-"""Tolerances in m and as a share of depth, from coarse to fine."""
-N_SCORE_POINTS = 500
 
 
 class Agreement(NamedTuple):
@@ -66,16 +56,6 @@ class Coverage(NamedTuple):
     """Of these, the share that stands in front of what more of the others see than see it."""
     free_space_violation_reverse: float
     """Of the others' points that fall where the view has a depth, the share in front of it."""
-
-
-class AgreementScore(NamedTuple):
-    """How well a view agrees with others at given poses, each (n,)."""
-
-    score: Floats
-    """Share of inliers minus half the share of free-space violations among the points that can be
-    compared, in both directions; the mean over several tolerances."""
-    visible_ratio: Floats
-    """Share of points that can be compared; the smaller of both directions."""
 
 
 class PointVisibility(NamedTuple):
@@ -140,176 +120,74 @@ def agreement(
     tolerance: tuple[float, float],
 ) -> Agreement:
     """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
-    points = views.sampled(query), views.sampled(matches)
-    out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
-    inlier_ratio, free_space_violation, visible_ratio = (
-        visibility.mean(axis=1) for visibility in out
-    )
-    inlier_ratio_reverse, free_space_violation_reverse, visible_ratio_reverse = (
-        visibility.mean(axis=1) for visibility in back
+    T_match_query = np.ascontiguousarray(T_match_query, np.float64)
+    out, back = _count_both_ways(
+        views.arrays(),
+        int(views.rows(query)),
+        views.rows(matches),
+        T_match_query,
+        se3.inverse(T_match_query),
+        views.n_points,
+        *tolerance,
     )
     return Agreement(
-        np.minimum(inlier_ratio, inlier_ratio_reverse),
-        free_space_violation + free_space_violation_reverse,
-        np.minimum(visible_ratio, visible_ratio_reverse),
-    )
-
-
-def agreement_score(
-    views: ViewStack, query: int, matches: Indices, T_match_query: Array
-) -> AgreementScore:
-    """Score poses (n, 4, 4) of the query in the matches (n,), to choose between nearby poses."""
-    T_match_query = np.ascontiguousarray(T_match_query, np.float64)
-    return AgreementScore(
-        *_score(
-            views.arrays(),
-            int(views.rows(query)),
-            views.rows(matches),
-            T_match_query,
-            se3.inverse(T_match_query),
-            min(N_SCORE_POINTS, views.n_points),
-        )
+        np.minimum(out[0], back[0]) / views.n_points,
+        (out[1] + back[1]) / views.n_points,
+        np.minimum(out[2], back[2]) / views.n_points,
     )
 
 
 @compiled
-def _score(
-    views: ViewArrays, query: int, matches: Indices, T: Array, T_back: Array, n_points: int
-) -> tuple[Array, Array]:
-    """Return score and visible ratio, each (n,), of rows of views at poses and their inverses."""
-    score, visible_ratio = np.empty(len(matches)), np.empty(len(matches))
-    own = sampled_by_axis(views, query, n_points)
-    for k in range(len(matches)):
-        theirs = sampled_by_axis(views, matches[k], n_points)
-        worth, n_visible = _worth(views, matches[k], own, T[k])
-        worth_back, n_visible_back = _worth(views, query, theirs, T_back[k])
-        score[k] = (worth + worth_back) / max(n_visible + n_visible_back, 1)
-        visible_ratio[k] = min(n_visible, n_visible_back) / n_points
-    return score, visible_ratio
+def _count_both_ways(
+    views: ViewArrays,
+    query: int,
+    matches: Indices,
+    T: Array,
+    T_back: Array,
+    n_points: int,
+    fixed_m: float,
+    share: float,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Count what is inlier, violating and visible of the query's points, and of the matches'.
 
-
-@compiled
-def _worth(views: ViewArrays, row: int, points: Array, T: Array) -> tuple[float, int]:
-    """Return the worth of points (3, m) at a pose in a view, and how many are compared.
-
-    An inlier counts 1, a violation of free space -0.5; the mean over several tolerances.
+    Both are (3, n), of rows of views at poses (n, 4, 4) and their inverses.
     """
-    worth, n_visible = 0.0, 0
-    found = np.empty_like(points)
+    out, back = np.zeros((3, len(matches)), np.intp), np.zeros((3, len(matches)), np.intp)
+    own = sampled_by_axis(views, query, n_points)
+    found = np.empty_like(own)
+    for k in range(len(matches)):
+        _count(views, matches[k], own, T[k], fixed_m, share, found, out[:, k])
+        theirs = sampled_by_axis(views, matches[k], n_points)
+        _count(views, query, theirs, T_back[k], fixed_m, share, found, back[:, k])
+    return out, back
+
+
+@compiled
+def _count(
+    views: ViewArrays,
+    row: int,
+    points: Array,
+    T: Array,
+    fixed_m: float,
+    share: float,
+    found: Array,
+    counts: NDArray[np.intp],
+) -> None:
+    """Count which points (3, m) are inlier, violating and visible in a view."""
     project(views, T, points, found)
+    depths_m = views.depths_m[row]
     for i in range(found.shape[1]):
         depth_m = found[2, i]
         if depth_m == 0.0:
             continue
-        there_m = interpolated_depth(views, row, found[0, i], found[1, i])
-        if not there_m > 0.0:
-            continue
-        n_visible += 1
-        off_m = depth_m - there_m
-        for fixed_m, share in SCORE_TOLERANCES:
-            allowed_m = fixed_m + share * depth_m
-            if abs(off_m) < allowed_m:
-                worth += 1.0 / len(SCORE_TOLERANCES)
-            elif off_m < 0.0:
-                worth -= 0.5 / len(SCORE_TOLERANCES)
-    return worth, n_visible
-
-
-@compiled
-def score_poses(views: ViewArrays, row: int, points: Floats, T: Array, tolerance: Array) -> Array:
-    """Score poses (n, 4, 4) of points (m, 3) in one view, one way only: quick, and coarse.
-
-    The better points lie within the ``tolerance`` (2,), in m and as a share of depth, the more they
-    count, up to 1; violations of free space cost 0.5.
-    """
-    scores = np.empty(len(T))
-    axes = by_axis(points)
-    found = np.empty_like(axes)
-    for k in range(len(T)):
-        scores[k] = _score_pose(views, row, axes, T[k], tolerance, found)
-    return scores
-
-
-def rough_score(
-    views: ViewStack,
-    query: int,
-    matches: Indices,
-    T_match_query: Array,
-    n_points: int,
-    tolerance: tuple[float, float],
-) -> Floats:
-    """Score poses (n, 4, 4) of the query in the matches (n,) as ``score_poses`` does, both ways.
-
-    The lower score counts.
-    """
-    return _score_both_ways(
-        views.arrays(),
-        views.rows(matches),
-        int(views.rows(query)),
-        views.pixels(),
-        n_points,
-        np.ascontiguousarray(T_match_query, np.float64),
-        np.array(tolerance),
-    )
-
-
-@compiled
-def _score_both_ways(
-    views: ViewArrays,
-    rows: Indices,
-    query: int,
-    pixels: Indices,
-    n_points: int,
-    T: Array,
-    tolerance: Array,
-) -> Floats:
-    """Return the lower score of poses (n, 4, 4) of the query in views (n,).
-
-    The points of the first ``n_points`` of ``pixels`` (V, m) of each view are projected.
-    """
-    scores = np.empty(len(T))
-    own = _points_by_axis(views, query, pixels[query, :n_points])
-    found, back = np.empty_like(own), np.eye(4)
-    for k in range(len(T)):
-        out = _score_pose(views, rows[k], own, T[k], tolerance, found)
-        for i in range(3):
-            back[i, 3] = 0.0
-            for j in range(3):
-                back[i, j] = T[k, j, i]
-                back[i, 3] -= T[k, j, i] * T[k, j, 3]
-        theirs = _points_by_axis(views, rows[k], pixels[rows[k], :n_points])
-        scores[k] = min(out, _score_pose(views, query, theirs, back, tolerance, found))
-    return scores
-
-
-@compiled
-def _points_by_axis(views: ViewArrays, row: int, pixels: Indices) -> Array:
-    """Return the points (3, m) of some pixels (m,) of a view."""
-    points = np.empty((3, len(pixels)))
-    for i in range(len(pixels)):
-        pixel = pixels[i]
-        for axis in range(3):
-            points[axis, i] = views.rays[pixel, axis] * views.depths_m[row, pixel]
-    return points
-
-
-@compiled
-def _score_pose(
-    views: ViewArrays, row: int, axes: Array, T: Array, tolerance: Array, found: Array
-) -> float:
-    """Score one pose (4, 4) of points (3, m); ``found`` (3, m) is overwritten."""
-    score = 0.0
-    depths_m = views.depths_m[row]
-    project(views, T, axes, found)
-    for i in range(axes.shape[1]):
-        if found[2, i] == 0.0:
-            continue
         there_m = depths_m[nearest_pixel(views.width, found[0, i], found[1, i])]
         if not there_m > 0.0:
             continue
-        off = (found[2, i] - there_m) / (tolerance[0] + tolerance[1] * there_m)
-        score += max(1.0 - abs(off), 0.0) if off >= -1.0 else -0.5
-    return float(score / axes.shape[1])
+        off_m = depth_m - there_m
+        allowed_m = fixed_m + share * depth_m
+        counts[0] += abs(off_m) < allowed_m
+        counts[1] += off_m < -allowed_m
+        counts[2] += 1
 
 
 def coverage(

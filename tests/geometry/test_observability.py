@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import (
-    N_SEARCH_STAGES,
     AlignmentParams,
     ViewAligner,
     make_view,
+    observability,
     open_directions,
     se3,
     search_weak_directions,
@@ -100,18 +100,40 @@ def test_a_wrong_minimum_on_a_floor_is_left_for_the_right_one():
     (stuck,) = aligner.refine(QUERY, np.array([MATCH]), wrong[None])
     found = search_weak_directions(aligner, QUERY, MATCH, stuck, wrong[None], seed=0)
     assert np.linalg.norm((se3.inverse(T) @ found)[:3, 3]) < 0.02
-    in_stages = stuck
-    for stage in range(N_SEARCH_STAGES):
-        in_stages = search_weak_directions(
-            aligner, QUERY, MATCH, in_stages, wrong[None], seed=0, stages=[stage]
-        )
-    assert np.linalg.norm((se3.inverse(T) @ in_stages)[:3, 3]) < 0.02
-    only_starts = search_weak_directions(
-        aligner, QUERY, MATCH, stuck, T[None], seed=0, stages=[N_SEARCH_STAGES - 1]
-    )
-    at_start = search_weak_directions(aligner, QUERY, MATCH, stuck, T[None], seed=0, stages=[0])
-    assert np.linalg.norm((se3.inverse(T) @ at_start)[:3, 3]) < 0.02
-    assert not np.array_equal(only_starts, at_start)
+
+
+def test_a_search_starts_from_the_poses_it_is_given(monkeypatch):
+    monkeypatch.setattr(observability, "SEARCH_ROUNDS", ())
+    aligner, T = pair("box", "kinect")
+    wrong = T.copy()
+    wrong[:3, 3] += T[:3, :3] @ [0.15, 0.0, 0.0]
+    (stuck,) = aligner.refine(QUERY, np.array([MATCH]), wrong[None])
+    found = search_weak_directions(aligner, QUERY, MATCH, stuck, np.stack([wrong, T]), seed=0)
+    assert np.linalg.norm((se3.inverse(T) @ found)[:3, 3]) < 0.02
+    # A pose that agrees no better is not taken, however near to the right one it started.
+    assert search_weak_directions(aligner, QUERY, MATCH, found, T[None], seed=0) is found
+
+
+def test_a_search_aligns_by_all_points_only_what_it_returns(monkeypatch):
+    n_refined = {"refine": [], "refine_roughly": []}
+
+    def count(name):
+        original = getattr(ViewAligner, name)
+
+        def counted(aligner, query, matches, T_match_query):
+            n_refined[name].append(len(matches))
+            return original(aligner, query, matches, T_match_query)
+
+        monkeypatch.setattr(ViewAligner, name, counted)
+
+    aligner, T = pair("box", "kinect")
+    wrong = T.copy()
+    wrong[:3, 3] += T[:3, :3] @ [0.15, 0.0, 0.0]
+    (stuck,) = aligner.refine(QUERY, np.array([MATCH]), wrong[None])
+    for name in n_refined:
+        count(name)
+    search_weak_directions(aligner, QUERY, MATCH, stuck, wrong[None], seed=0)
+    assert n_refined == {"refine": [1], "refine_roughly": [1, 4, 2]}
 
 
 def test_without_a_common_surface_nothing_is_known():
