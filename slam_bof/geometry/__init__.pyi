@@ -39,7 +39,6 @@ from .gravity import (
 from .observability import (
     PrincipalDirections as PrincipalDirections,
     open_directions as open_directions,
-    search_weak_directions as search_weak_directions,
 )
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
@@ -67,4 +66,7 @@ from .virtual_camera import (
 from .visibility import (
     Agreement as Agreement,
     Coverage as Coverage,
+)
+from .weak_direction_search import (
+    search_weak_directions as search_weak_directions,
 )

@@ -19,7 +19,14 @@ from slam_bof.geometry.projection import (
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.types import Array
 
-__all__ = ["AgreementScore", "agreement_score", "rough_score", "score_poses"]
+__all__ = [
+    "AgreementScore",
+    "agreement_score",
+    "rough_score",
+    "score_pose",
+    "score_poses",
+    "score_rows",
+]
 
 SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
 """Tolerances in m and as a share of depth, from coarse to fine."""
@@ -42,7 +49,7 @@ def agreement_score(
     """Score poses (n, 4, 4) of the query in the matches (n,), to choose between nearby poses."""
     T_match_query = np.ascontiguousarray(T_match_query, np.float64)
     return AgreementScore(
-        *_score(
+        *score_rows(
             views.arrays(),
             int(views.rows(query)),
             views.rows(matches),
@@ -54,7 +61,7 @@ def agreement_score(
 
 
 @compiled
-def _score(
+def score_rows(
     views: ViewArrays, query: int, matches: Indices, T: Array, T_back: Array, n_points: int
 ) -> tuple[Array, Array]:
     """Return score and visible ratio, each (n,), of rows of views at poses and their inverses."""
@@ -109,7 +116,7 @@ def score_poses(views: ViewArrays, row: int, points: Floats, T: Array, tolerance
     axes = by_axis(points)
     found = np.empty_like(axes)
     for k in range(len(T)):
-        scores[k] = _score_pose(views, row, axes, T[k], tolerance, found)
+        scores[k] = score_pose(views, row, axes, T[k], tolerance, found)
     return scores
 
 
@@ -152,19 +159,19 @@ def _score_both_ways(
     own = sampled_by_axis(views, query, n_points)
     found, back = np.empty_like(own), np.eye(4)
     for k in range(len(T)):
-        out = _score_pose(views, rows[k], own, T[k], tolerance, found)
+        out = score_pose(views, rows[k], own, T[k], tolerance, found)
         for i in range(3):
             back[i, 3] = 0.0
             for j in range(3):
                 back[i, j] = T[k, j, i]
                 back[i, 3] -= T[k, j, i] * T[k, j, 3]
         theirs = sampled_by_axis(views, rows[k], n_points)
-        scores[k] = min(out, _score_pose(views, query, theirs, back, tolerance, found))
+        scores[k] = min(out, score_pose(views, query, theirs, back, tolerance, found))
     return scores
 
 
 @compiled
-def _score_pose(
+def score_pose(
     views: ViewArrays, row: int, axes: Array, T: Array, tolerance: Array, found: Array
 ) -> float:
     """Score one pose (4, 4) of points (3, m); ``found`` (3, m) is overwritten."""

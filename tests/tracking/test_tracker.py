@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_bof.geometry import ViewAligner, se3
+from slam_bof.geometry import se3
 from slam_bof.slam import LoopCloser
 from slam_bof.synthetic import DegenerateCase, drifted, render_case
-from slam_bof.tracking import Tracker, TrackingParams
+from slam_bof.tracking import Tracker, TrackingParams, frame_finder
 
 N_FRAMES = 12
 STEP_RAD = 0.06
@@ -31,9 +31,9 @@ def covered(frame):
     return replace(frame, depth=np.zeros_like(frame.depth))
 
 
-def follow(frames, odometry, every=4, params=None):
+def follow(frames, odometry, every=4):
     """Track all, keep some, and return the tracks."""
-    tracker = Tracker(params)
+    tracker = Tracker()
     tracks = []
     for i, (frame, T) in enumerate(zip(frames, odometry, strict=True)):
         tracks.append(tracker.track(frame, T))
@@ -266,25 +266,48 @@ def test_along_open_directions_a_step_is_as_uncertain_as_odometry():
 
 
 def test_only_frames_whose_score_dropped_are_searched_for(turn, monkeypatch):
-    n_searched = [0]
-    refine_roughly = ViewAligner.refine_roughly
+    searched = []
+    search = frame_finder.search_weak_directions
 
-    def counted(aligner, query, matches, T_match_query):
-        n_searched[-1] += len(matches)
-        return refine_roughly(aligner, query, matches, T_match_query)
+    def counted(*arguments, **options):
+        searched.append(None)
+        return search(*arguments, **options)
 
-    monkeypatch.setattr(ViewAligner, "refine_roughly", counted)
+    monkeypatch.setattr(frame_finder, "search_weak_directions", counted)
     frames, truth = turn
-    for max_score_drop, expected in ((1.0, {0}), (0.0, {0, 8})):
+    n_searched = []
+    for max_score_drop in (1.0, 0.0):
         tracker = Tracker(TrackingParams(max_score_drop=max_score_drop))
         tracker.track(frames[0], truth[0])
         tracker.keep()
         tracker.track(frames[1], truth[1])  # nothing is usual yet
-        n_searched.clear()
+        searched.clear()
         for frame, T in zip(frames[2:7], truth[2:7], strict=True):
-            n_searched.append(0)
             tracker.track(frame, T)
-        assert set(n_searched) == expected
+        n_searched.append(len(searched))
+    assert n_searched[0] == 0 < n_searched[1]
+
+
+def test_a_pose_that_a_search_found_is_taken_only_if_it_is_good(turn, monkeypatch):
+    """Others may agree by far less than usual; one that was searched for may not."""
+    frames, truth = turn
+    tracker = Tracker(TrackingParams(max_inlier_drop=1.0))
+    tracker.track(frames[0], truth[0])
+    tracker.keep()
+    track = tracker.track(frames[1], truth[1])
+    in_doubt = {**tracker.state(), "usual_score": 1.05}  # more than any frame can have
+    tracker.restore(in_doubt, frames[1], track)
+    aside, n_found = se3.exp(np.array([0.0, 0.1, 0.0, 0.3, 0.0, 0.0])), 0
+
+    def find_wrong_pose(aligner, query, match, T_match_query, starts, **_):
+        nonlocal n_found
+        n_found += 1
+        return T_match_query @ aside
+
+    monkeypatch.setattr(frame_finder, "search_weak_directions", find_wrong_pose)
+    tracks = [tracker.track(f, T) for f, T in zip(frames[2:5], truth[2:5], strict=True)]
+    assert off(tracks, truth[2:5])[0].max() < 0.03
+    assert n_found >= len(tracks)
 
 
 def test_with_covariances_a_restored_tracker_goes_on_as_before():
