@@ -244,7 +244,7 @@ class FrameFinder:
     def _improve(
         self, registration: _Registration, T_odom_view: Pose, recent: RecentPoses
     ) -> _Registration:
-        """Return a better pose if the views agree less than usual and there is a good one."""
+        """Return a better pose if the views agree less than usual and there is one."""
         view_id, T_view_frame = registration.view_id, registration.T_view_frame
         score = self._score(view_id, T_view_frame)
         # Nothing is usual yet at first, so the comparison is false and a better pose is looked for.
@@ -256,10 +256,8 @@ class FrameFinder:
                 self._aligner, FRAME, view_id, T_view_frame, starts, seed=self._seed
             )
             if T_found is not T_view_frame:
-                found = self._evaluate(view_id, T_odom_view, T_found)
-                # Where odometry is lost, a wrong pose may well agree better than the one by it.
-                if self._is_good(found):
-                    registration, score = found, self._score(view_id, T_found)
+                registration = self._evaluate(view_id, T_odom_view, T_found)
+                score = self._score(view_id, T_found)
         if view_id == KEYFRAME:
             if np.isnan(self._reference_score):
                 self._reference_score = score
