@@ -37,10 +37,8 @@ from .gravity import (
     level_frame as level_frame,
 )
 from .observability import (
-    N_SEARCH_STAGES as N_SEARCH_STAGES,
     PrincipalDirections as PrincipalDirections,
     open_directions as open_directions,
-    search_weak_directions as search_weak_directions,
 )
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
@@ -68,4 +66,7 @@ from .virtual_camera import (
 from .visibility import (
     Agreement as Agreement,
     Coverage as Coverage,
+)
+from .weak_direction_search import (
+    search_weak_directions as search_weak_directions,
 )

@@ -11,6 +11,7 @@ from slam_bof.geometry.depth_view import make_view
 from slam_bof.geometry.observability import open_directions
 from slam_bof.geometry.point_to_plane import refine
 from slam_bof.geometry.projective_icp import AlignmentParams, ViewAligner
+from slam_bof.geometry.weak_direction_search import search_weak_directions
 from slam_bof.types import DepthFrame, Intrinsics
 
 __all__ = ["compile_alignment"]
@@ -31,5 +32,7 @@ def compile_alignment() -> str:
     aligner.rough_score(1, matches, T, np.zeros(1))
     aligner.align(1, matches, T[None])
     aligner.agreement(1, matches, T)
+    aligner.coverage(1, matches, T)
     open_directions(aligner, 1, 0, T[0])
+    search_weak_directions(aligner, 1, 0, T[0], T, seed=0)
     return find_kept(refine)

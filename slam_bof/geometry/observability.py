@@ -1,4 +1,4 @@
-"""Which directions of a relative pose the surfaces hold, and whether there is a better pose nearby.
+"""Which directions of a relative pose the surfaces hold.
 
 The eigenvalues of the point-to-plane equations do not answer this: they know nothing of other
 minima, and nothing of what depth edges hold. Instead, one view is shifted by 0.1 m either way along
@@ -8,7 +8,6 @@ alignment says nothing along it.
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +18,7 @@ from slam_bof.geometry.point_to_plane import fill_derivative
 from slam_bof.geometry.projective_icp import SurfacePairs, ViewAligner
 from slam_bof.types import Array, Pose
 
-__all__ = [
-    "N_SEARCH_STAGES",
-    "PrincipalDirections",
-    "open_directions",
-    "search_weak_directions",
-]
+__all__ = ["PrincipalDirections", "cross_information", "open_directions"]
 
 MAX_WEAK_INFORMATION = 0.04
 """Share of the points' information below which a direction is weakly held."""
@@ -32,18 +26,8 @@ SHIFT_M = 0.1
 """Views are shifted by this distance to measure how far their agreement drops."""
 MIN_SCORE_DROP = 0.02
 """A direction is open if agreement drops by less than this, whichever way the view is shifted."""
-MIN_SCORE_GAIN = 0.01
-"""Another pose must agree better by this much to be preferred."""
-MIN_VISIBLE_SHARE = 0.8
-"""Another pose must keep this share of the overlap, because a small overlap agrees by chance."""
-SEARCH_ROUNDS = ((64, 0.15, 4), (32, 0.06, 2))
-"""Number of poses tried in a round, their spread in m, and the number refined of them."""
-N_SEARCH_STAGES = 1 + len(SEARCH_ROUNDS)
-"""A search tries the starts it is given, and then each round."""
 OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
-MAX_WEAK_AXES = 4
-"""Number of the weakest directions along which poses are searched for."""
 KEEP_ITERATIONS = 2
 MIN_PAIRS = 30
 MIN_RADIUS_M = 0.05
@@ -72,9 +56,7 @@ class PrincipalDirections(NamedTuple):
         points = pairs.points_query
         if len(points) < min_pairs:
             return None
-        centre, radius_m, cross = _cross_information(
-            points, pairs.facing_query, pairs.normals_query
-        )
+        centre, radius_m, cross = cross_information(points, pairs.facing_query, pairs.normals_query)
         information, axes = np.linalg.eigh(0.5 * (cross + cross.T))
         return cls(centre, radius_m, information, axes)
 
@@ -132,7 +114,7 @@ class PrincipalDirections(NamedTuple):
 
 
 @compiled
-def _cross_information(
+def cross_information(
     points: Array, normals_query: Array, normals_match: Array
 ) -> tuple[Array, float, Array]:
     """Return centre (3,) and radius of points (m, 3), and the mean (6, 6) of products of rows.
@@ -182,55 +164,13 @@ def open_directions(
         return directions, weak
     shifts = SHIFT_M * np.concatenate([weak.T, -weak.T])
     tried = np.concatenate([T_match_query[None], T_match_query @ directions.displace(shifts)])
-    score = aligner.agreement_score(query, np.full(len(tried), match), tried).score
-    drop = (score[0] - score[1:]).reshape(2, -1).max(axis=0)
-    return directions, weak[:, drop < MIN_SCORE_DROP]
+    one_way, other_way = tried[: 1 + weak.shape[1]], tried[1 + weak.shape[1] :]
 
+    def score(T: Array) -> Array:
+        return np.asarray(aligner.agreement_score(query, np.full(len(T), match), T).score)
 
-def search_weak_directions(
-    aligner: ViewAligner,
-    query: int,
-    match: int,
-    T_match_query: Pose,
-    starts: Array,
-    *,
-    seed: int,
-    stages: Collection[int] = range(N_SEARCH_STAGES),
-) -> Pose:
-    """Search for a pose (4, 4) that agrees better; return ``T_match_query`` if there is none.
-
-    Alignment starts again from ``starts`` (n, 4, 4), which is stage 0, and then from random poses
-    along the weakly held directions of the best pose so far, a round in each further stage.
-    """
-    rng = np.random.default_rng(seed)
-    best = T_match_query
-    before = aligner.agreement_score(query, np.array([match]), best[None])
-    best_score = before.score[0]
-    least_visible = MIN_VISIBLE_SHARE * before.visible_ratio[0]
-
-    def take_better(tried: Array) -> None:
-        nonlocal best, best_score
-        matches = np.full(len(tried), match)
-        T = aligner.refine(query, matches, tried)
-        score, visible_ratio = aligner.agreement_score(query, matches, T)
-        score = np.where(visible_ratio >= least_visible, score, -np.inf)
-        k = int(np.argmax(score))
-        if score[k] > best_score + MIN_SCORE_GAIN:
-            best, best_score = T[k], score[k]
-
-    if len(starts) and 0 in stages:
-        take_better(starts)
-    for stage, (n, sigma_m, n_best) in enumerate(SEARCH_ROUNDS, 1):
-        if stage not in stages:
-            continue
-        (pairs,) = aligner.surface_pairs(query, np.array([match]), best[None])
-        directions = PrincipalDirections.of(pairs)
-        if directions is None:
-            break
-        n_weak = int(np.clip(directions.weak_axes.shape[1], 1, MAX_WEAK_AXES))
-        weak = directions.axes[:, :n_weak]
-        displacements = sigma_m * rng.standard_normal((n, weak.shape[1])) @ weak.T
-        tried = best @ directions.displace(displacements)
-        coarse = aligner.coarse_score(query, match, tried)
-        take_better(tried[np.argsort(-coarse, kind="stable")[:n_best]])
-    return best
+    here, *shifted = score(one_way)
+    is_open = here - np.array(shifted) < MIN_SCORE_DROP
+    if is_open.any():  # for others the second way would be of no account
+        is_open[is_open] = here - score(other_way[is_open]) < MIN_SCORE_DROP
+    return directions, weak[:, is_open]

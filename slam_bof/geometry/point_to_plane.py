@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ from slam_bof.geometry.projection import NORMAL_STEPS, ViewArrays, by_axis, near
 from slam_bof.geometry.view_stack import Floats, Indices
 from slam_bof.types import Array
 
-__all__ = ["associate", "fill_derivative", "refine"]
+__all__ = ["IcpSchedule", "associate", "fill_derivative", "refine", "small_motion"]
 
 PER_STEP = 1.0 / NORMAL_STEPS
 MIN_COSINE = 0.6
@@ -25,6 +27,19 @@ MIN_PAIRS = 12
 """A view with fewer pairs is not moved."""
 
 
+class IcpSchedule(NamedTuple):
+    """What each iteration of ICP does."""
+
+    gates_m: Array
+    """(n,) largest residual."""
+    n_points: Indices
+    """(n,) number of points."""
+    min_step: float
+    """A pair that moves by less, in rad and m, rests until the last iterations."""
+    n_final: int
+    """Number of iterations at the end in which all pairs move."""
+
+
 @compiled
 def refine(
     views: ViewArrays,
@@ -32,10 +47,7 @@ def refine(
     points: Floats,
     normals: Floats,
     T_match_query: Array,
-    gates_m: Array,
-    n_points: Indices,
-    min_step: float,
-    n_final: int,
+    schedule: IcpSchedule,
 ) -> Array:
     """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
 
@@ -47,17 +59,16 @@ def refine(
         (m, 3) each, of the query's surfaces.
     T_match_query
         (n, 4, 4) starts.
-    gates_m, n_points
-        Of each iteration: the largest residual, and how many of the points it uses.
-    min_step, n_final
-        A pair that moves by less, in rad and m, rests until this many iterations are left.
+    schedule
+        What each iteration does.
     """
     refined = T_match_query.copy()
+    gates_m, n_points = schedule.gates_m, schedule.n_points
     pairs = np.empty((len(points), 10))
     for k in range(len(matches)):
         moving = True
         for iteration in range(len(gates_m)):
-            if not moving and iteration < len(gates_m) - n_final:
+            if not moving and iteration < len(gates_m) - schedule.n_final:
                 continue
             n = n_points[iteration]
             gate_m = gates_m[iteration]
@@ -65,8 +76,8 @@ def refine(
                 views, matches[k], points[:n], normals[:n], refined[k], gate_m, pairs
             )[0]
             step = _solve_step(pairs[:n_pairs], gate_m)
-            refined[k] = _small_motion(step) @ refined[k]
-            moving = np.abs(step).max() > min_step
+            refined[k] = small_motion(step) @ refined[k]
+            moving = np.abs(step).max() > schedule.min_step
     return refined
 
 
@@ -265,35 +276,32 @@ def _weights(pairs: Array, gate_m: float) -> Array:
     outweigh the few that hold a view sideways. This is the normal-space sampling of Rusinkiewicz
     and Levoy (2001), by weights.
     """
-    n = len(pairs)
+    m = len(pairs)
     xx = xy = xz = yy = yz = zz = 0.0
-    for k in range(n):
-        x, y, z = pairs[k, 3], pairs[k, 4], pairs[k, 5]
-        xx += x * x
-        xy += x * y
-        xz += x * z
-        yy += y * y
-        yz += y * z
-        zz += z * z
-    spread = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) / n + MIN_SPREAD * np.eye(3)
-    rarity = np.linalg.inv(spread)
+    for k in range(m):
+        p, q, r = pairs[k, 3], pairs[k, 4], pairs[k, 5]
+        xx, xy, xz = xx + p * p, xy + p * q, xz + p * r
+        yy, yz, zz = yy + q * q, yz + q * r, zz + r * r
+    spread = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) / m + MIN_SPREAD * np.eye(3)
+    rarity = np.linalg.inv(spread) / 3.0
     a, b, c = rarity[0, 0], rarity[1, 1], rarity[2, 2]
     d, e, f = 2.0 * rarity[0, 1], 2.0 * rarity[0, 2], 2.0 * rarity[1, 2]
-    weights = np.empty(n)
-    total = 0.0
-    for k in range(n):
-        x, y, z = pairs[k, 3], pairs[k, 4], pairs[k, 5]
-        leverage = x * (a * x + d * y + e * z) + y * (b * y + f * z) + c * z * z
+    weights = np.empty(m)
+    for k in range(m):
+        p, q, r = pairs[k, 3], pairs[k, 4], pairs[k, 5]
+        leverage = p * (a * p + d * q + e * r) + q * (b * q + f * r) + c * r * r
         off = 2.0 * pairs[k, 9] / gate_m
-        robust = (1.0 + off * off) * (1.0 + off * off)
+        doubt = 1.0 + off * off
         far = 0.2 + 0.2 * pairs[k, 2] * pairs[k, 2]
-        weights[k] = min(leverage / 3.0, MAX_LEVERAGE) / (robust * far)
+        weights[k] = min(leverage, MAX_LEVERAGE) / (doubt * doubt * far)
+    total = 0.0
+    for k in range(m):
         total += weights[k]
     return weights / max(total, 1e-6)
 
 
 @compiled
-def _small_motion(tangent: Array) -> Array:
+def small_motion(tangent: Array) -> Array:
     """Return a small motion as (4, 4): its rotation exactly, the translation as it is."""
     x, y, z = tangent[0], tangent[1], tangent[2]
     angle = np.sqrt(x * x + y * y + z * z)

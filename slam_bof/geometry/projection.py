@@ -103,22 +103,23 @@ def nearest_pixel(width: int, column: float, row: float) -> int:
 
 
 @compiled
-def interpolated_depth(views: ViewArrays, view: int, column: float, row: float) -> float:
+def interpolated_depth(
+    depths_m: NDArray[np.float32], width: int, height: int, column: float, row: float
+) -> float:
     """Return the depth of a view between pixels, 0 if it is unknown or on no surface.
 
     The inverse depth of a plane is linear in the image. Without interpolation, the depth of a wall
     at a grazing angle may be off by decimetres, and views would seem to agree best where their
     pixels coincide. At an edge the surface of the pixel is continued.
     """
-    depths_m = views.depths_m[view]
-    pixel = nearest_pixel(views.width, column, row)
+    pixel = nearest_pixel(width, column, row)
     depth_m = depths_m[pixel]
     if not depth_m > 0.0:
         return 0.0
     inverse = 1.0 / depth_m
     limit = MAX_STEP * (inverse + inverse * inverse)
     change = 0.0
-    for at, step, size in ((column, 1, views.width), (row, views.width, views.height)):
+    for at, step, size in ((column, 1, width), (row, width, height)):
         position = int(np.rint(at))
         offset = at - position
         towards = 1 if offset > 0 else -1

@@ -16,15 +16,18 @@ from pydantic import Field
 
 from slam_bof.geometry import se3
 from slam_bof.geometry.depth_view import DepthView
-from slam_bof.geometry.point_to_plane import associate, refine
-from slam_bof.geometry.pose_scores import rough_score, score_poses
+from slam_bof.geometry.point_to_plane import IcpSchedule, associate, refine
+from slam_bof.geometry.pose_scores import (
+    AgreementScore,
+    agreement_score,
+    rough_score,
+    score_poses,
+)
 from slam_bof.geometry.view_stack import Floats, Indices, ViewStack
 from slam_bof.geometry.visibility import (
     Agreement,
-    AgreementScore,
     Coverage,
     agreement,
-    agreement_score,
     classify_points,
     coverage,
 )
@@ -34,8 +37,6 @@ __all__ = ["AlignmentParams", "SurfacePairs", "ViewAligner"]
 
 ORBIT_M = 2.0
 """Half of the random motions turn about a point this far ahead, so that it stays in view."""
-N_COARSE_POINTS = 400
-"""Number of points of a view that ``coarse_score`` uses."""
 
 
 class AlignmentParams(Params):
@@ -126,13 +127,16 @@ class ViewAligner:
 
     def __init__(self, params: AlignmentParams, *, seed: int = 0) -> None:
         self.params = params
-        self._views = ViewStack(params.n_points, seed=seed)
+        self.views = ViewStack(params.n_points, seed=seed)
         self._motions = _random_motions(params, seed)
-        # Of each iteration of ICP:
         is_fine = np.arange(params.n_iterations) >= params.n_iterations - params.n_fine_iterations
         n_coarse_points = min(params.n_points, params.n_coarse_points)
-        self._gates_m = np.geomspace(*params.gates_m, params.n_iterations)
-        self._n_points = np.where(is_fine, params.n_points, n_coarse_points)
+        self.schedule = IcpSchedule(
+            np.geomspace(*params.gates_m, params.n_iterations),
+            np.where(is_fine, params.n_points, n_coarse_points),
+            params.min_step,
+            params.n_final_iterations,
+        )
 
     def add(self, view: DepthView) -> None:
         """Hold another view; ids count from 0.
@@ -142,32 +146,32 @@ class ViewAligner:
         ValueError
             If it is of another camera than the views before.
         """
-        self._views.add(view)
+        self.views.add(view)
 
     def __len__(self) -> int:
         """Return the number of views added so far, dropped ones included: the next id."""
-        return len(self._views)
+        return len(self.views)
 
     def drop(self, view_id: int) -> None:
         """Drop a view; ``KeyError`` if none of that id is held."""
-        self._views.drop(view_id)
+        self.views.drop(view_id)
 
     def truncate(self, n: int) -> None:
         """Hold only the views with ids below ``n``; the next id is ``n``."""
-        self._views.truncate(n)
+        self.views.truncate(n)
 
     @property
     def nbytes(self) -> int:
         """Bytes of all views held."""
-        return self._views.nbytes
+        return self.views.nbytes
 
     def points_camera(self, view_id: int) -> NDArray[np.float32]:
         """Return the points (N, 3) of a view."""
-        return self._views.points_camera(view_id)
+        return self.views.points_camera(view_id)
 
     def sampled(self, view_id: int, n_points: int) -> Array:
         """Return ``n_points`` points (n, 3) of a view, ``params.n_points`` at most."""
-        return self._views.sampled(view_id, n_points).astype(np.float64)
+        return self.views.sampled(view_id, n_points).astype(np.float64)
 
     def align(self, query: int, matches: Indices, starts: Array) -> Array:
         """Return ``T_match_query`` (n, 4, 4) that fit best, from starts (n, S, 4, 4)."""
@@ -178,9 +182,9 @@ class ViewAligner:
 
         It takes rounds of smaller and smaller motions.
         """
-        points = self._views.sampled(query, self.params.n_search_points)
+        points = self.views.sampled(query, self.params.n_search_points)
         tolerance = np.array(self.params.search_tolerance)
-        arrays, rows = self._views.arrays(), self._views.rows(matches)
+        arrays, rows = self.views.arrays(), self.views.rows(matches)
         for motions in self._motions:
             tried = np.matmul(motions, starts[:, :, None]).reshape(len(starts), -1, 4, 4)
             scores = np.stack(
@@ -203,7 +207,7 @@ class ViewAligner:
         become the best any more are scored one way only, which may be too high, but not the best.
         """
         return rough_score(
-            self._views,
+            self.views,
             query,
             matches,
             T_match_query,
@@ -220,14 +224,11 @@ class ViewAligner:
         that was loaded again, end at the same pose.
         """
         return refine(
-            self._views.arrays(),
-            self._views.rows(matches),
-            *self._views.surface(query),
+            self.views.arrays(),
+            self.views.rows(matches),
+            *self.views.surface(query),
             se3.nearest_pose(T_match_query.astype(np.float32)),
-            self._gates_m,
-            self._n_points,
-            self.params.min_step,
-            self.params.n_final_iterations,
+            self.schedule,
         )
 
     def surface_pairs(
@@ -237,8 +238,8 @@ class ViewAligner:
 
         That is within the last gate.
         """
-        arrays, rows = self._views.arrays(), self._views.rows(matches)
-        surface = self._views.surface(query)
+        arrays, rows = self.views.arrays(), self.views.rows(matches)
+        surface = self.views.surface(query)
         points, facing = (a.astype(np.float64) for a in surface)
         found = np.empty((len(points), 10))
         pairs = []
@@ -254,29 +255,22 @@ class ViewAligner:
         self, query: int, matches: Indices, T_match_query: Array
     ) -> tuple[Floats, Floats]:
         """Return the shares (n,) of the query's points that are inliers or violate free space."""
-        points = self._views.sampled(query)
+        points = self.views.sampled(query)
         tolerance = self.params.tolerance
-        visibility = classify_points(self._views, points, matches, T_match_query, tolerance)
+        visibility = classify_points(self.views, points, matches, T_match_query, tolerance)
         return visibility.inlier.mean(axis=1), visibility.violating.mean(axis=1)
 
     def agreement(self, query: int, matches: Indices, T_match_query: Array) -> Agreement:
         """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
-        return agreement(self._views, query, matches, T_match_query, self.params.tolerance)
+        return agreement(self.views, query, matches, T_match_query, self.params.tolerance)
 
     def agreement_score(self, query: int, matches: Indices, T_match_query: Array) -> AgreementScore:
         """Score by how much the query agrees with each match (n,) at a pose (n, 4, 4)."""
-        return agreement_score(self._views, query, matches, T_match_query)
-
-    def coarse_score(self, query: int, match: int, T_match_query: Array) -> Floats:
-        """Score poses (n, 4, 4) of one pair by few points and one way only: quick, and coarse."""
-        points = self._views.sampled(query, N_COARSE_POINTS)
-        tolerance = np.array(self.params.tolerance)
-        row = int(self._views.rows(match))
-        return score_poses(self._views.arrays(), row, points, T_match_query, tolerance)
+        return agreement_score(self.views, query, matches, T_match_query)
 
     def coverage(self, query: int, matches: Indices, T_match_query: Array) -> Coverage:
         """Measure how far the query agrees with all matches (n,) together at poses (n, 4, 4)."""
-        return coverage(self._views, query, matches, T_match_query, self.params.tolerance)
+        return coverage(self.views, query, matches, T_match_query, self.params.tolerance)
 
 
 def _random_motions(params: AlignmentParams, seed: int) -> list[Array]:

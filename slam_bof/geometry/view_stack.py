@@ -116,10 +116,6 @@ class ViewStack:
         rows = self.rows(views)
         return self._points(rows[..., None], self._sampled.rows[rows, :n_points])
 
-    def pixels(self) -> Indices:
-        """Return the sampled pixels (n, m) of all rows (see ``rows``)."""
-        return self._sampled.rows
-
     def surface(self, view_id: int, n_points: int | None = None) -> tuple[Floats, Floats]:
         """Return sampled points (m, 3) of a view with known normals, and the normals (m, 3)."""
         row = self.rows(view_id)

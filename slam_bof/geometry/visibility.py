@@ -17,7 +17,6 @@ from slam_bof.geometry import se3
 from slam_bof.geometry.projection import (
     ViewArrays,
     by_axis,
-    interpolated_depth,
     nearest_pixel,
     project,
     sampled_by_axis,
@@ -27,19 +26,12 @@ from slam_bof.types import Array
 
 __all__ = [
     "Agreement",
-    "AgreementScore",
     "Coverage",
     "PointVisibility",
     "agreement",
-    "agreement_score",
     "classify_points",
     "coverage",
 ]
-
-
-SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
-"""Tolerances in m and as a share of depth, from coarse to fine."""
-N_SCORE_POINTS = 500
 
 
 class Agreement(NamedTuple):
@@ -64,16 +56,6 @@ class Coverage(NamedTuple):
     """Of these, the share that stands in front of what more of the others see than see it."""
     free_space_violation_reverse: float
     """Of the others' points that fall where the view has a depth, the share in front of it."""
-
-
-class AgreementScore(NamedTuple):
-    """How well a view agrees with others at given poses, each (n,)."""
-
-    score: Floats
-    """Share of inliers minus half the share of free-space violations among the points that can be
-    compared, in both directions; the mean over several tolerances."""
-    visible_ratio: Floats
-    """Share of points that can be compared; the smaller of both directions."""
 
 
 class PointVisibility(NamedTuple):
@@ -138,79 +120,74 @@ def agreement(
     tolerance: tuple[float, float],
 ) -> Agreement:
     """Measure how far the query agrees with each match (n,) at a pose (n, 4, 4)."""
-    points = views.sampled(query), views.sampled(matches)
-    out, back = _both_ways(views, query, matches, T_match_query, tolerance, points)
-    inlier_ratio, free_space_violation, visible_ratio = (
-        visibility.mean(axis=1) for visibility in out
-    )
-    inlier_ratio_reverse, free_space_violation_reverse, visible_ratio_reverse = (
-        visibility.mean(axis=1) for visibility in back
+    T_match_query = np.ascontiguousarray(T_match_query, np.float64)
+    out, back = _count_both_ways(
+        views.arrays(),
+        int(views.rows(query)),
+        views.rows(matches),
+        T_match_query,
+        se3.inverse(T_match_query),
+        views.n_points,
+        *tolerance,
     )
     return Agreement(
-        np.minimum(inlier_ratio, inlier_ratio_reverse),
-        free_space_violation + free_space_violation_reverse,
-        np.minimum(visible_ratio, visible_ratio_reverse),
-    )
-
-
-def agreement_score(
-    views: ViewStack, query: int, matches: Indices, T_match_query: Array
-) -> AgreementScore:
-    """Score poses (n, 4, 4) of the query in the matches (n,), to choose between nearby poses."""
-    T_match_query = np.ascontiguousarray(T_match_query, np.float64)
-    return AgreementScore(
-        *_score(
-            views.arrays(),
-            int(views.rows(query)),
-            views.rows(matches),
-            T_match_query,
-            se3.inverse(T_match_query),
-            min(N_SCORE_POINTS, views.n_points),
-        )
+        np.minimum(out[0], back[0]) / views.n_points,
+        (out[1] + back[1]) / views.n_points,
+        np.minimum(out[2], back[2]) / views.n_points,
     )
 
 
 @compiled
-def _score(
-    views: ViewArrays, query: int, matches: Indices, T: Array, T_back: Array, n_points: int
-) -> tuple[Array, Array]:
-    """Return score and visible ratio, each (n,), of rows of views at poses and their inverses."""
-    score, visible_ratio = np.empty(len(matches)), np.empty(len(matches))
-    own = sampled_by_axis(views, query, n_points)
-    for k in range(len(matches)):
-        theirs = sampled_by_axis(views, matches[k], n_points)
-        worth, n_visible = _worth(views, matches[k], own, T[k])
-        worth_back, n_visible_back = _worth(views, query, theirs, T_back[k])
-        score[k] = (worth + worth_back) / max(n_visible + n_visible_back, 1)
-        visible_ratio[k] = min(n_visible, n_visible_back) / n_points
-    return score, visible_ratio
+def _count_both_ways(
+    views: ViewArrays,
+    query: int,
+    matches: Indices,
+    T: Array,
+    T_back: Array,
+    n_points: int,
+    fixed_m: float,
+    share: float,
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Count what is inlier, violating and visible of the query's points, and of the matches'.
 
-
-@compiled
-def _worth(views: ViewArrays, row: int, points: Array, T: Array) -> tuple[float, int]:
-    """Return the worth of points (3, m) at a pose in a view, and how many are compared.
-
-    An inlier counts 1, a violation of free space -0.5; the mean over several tolerances.
+    Both are (3, n), of rows of views at poses (n, 4, 4) and their inverses.
     """
-    worth, n_visible = 0.0, 0
-    found = np.empty_like(points)
+    out, back = np.zeros((3, len(matches)), np.intp), np.zeros((3, len(matches)), np.intp)
+    own = sampled_by_axis(views, query, n_points)
+    found = np.empty_like(own)
+    for k in range(len(matches)):
+        _count(views, matches[k], own, T[k], fixed_m, share, found, out[:, k])
+        theirs = sampled_by_axis(views, matches[k], n_points)
+        _count(views, query, theirs, T_back[k], fixed_m, share, found, back[:, k])
+    return out, back
+
+
+@compiled
+def _count(
+    views: ViewArrays,
+    row: int,
+    points: Array,
+    T: Array,
+    fixed_m: float,
+    share: float,
+    found: Array,
+    counts: NDArray[np.intp],
+) -> None:
+    """Count which points (3, m) are inlier, violating and visible in a view."""
     project(views, T, points, found)
+    depths_m = views.depths_m[row]
     for i in range(found.shape[1]):
         depth_m = found[2, i]
         if depth_m == 0.0:
             continue
-        there_m = interpolated_depth(views, row, found[0, i], found[1, i])
+        there_m = depths_m[nearest_pixel(views.width, found[0, i], found[1, i])]
         if not there_m > 0.0:
             continue
-        n_visible += 1
         off_m = depth_m - there_m
-        for fixed_m, share in SCORE_TOLERANCES:
-            allowed_m = fixed_m + share * depth_m
-            if abs(off_m) < allowed_m:
-                worth += 1.0 / len(SCORE_TOLERANCES)
-            elif off_m < 0.0:
-                worth -= 0.5 / len(SCORE_TOLERANCES)
-    return worth, n_visible
+        allowed_m = fixed_m + share * depth_m
+        counts[0] += abs(off_m) < allowed_m
+        counts[1] += off_m < -allowed_m
+        counts[2] += 1
 
 
 def coverage(

@@ -86,6 +86,7 @@ REMOVED_KEYS = (
     "search.n_voted",
     "search.constellation_weight",
     "search.index",
+    "tracking.spread_search",
 )
 """Keys of earlier versions that a saved map may still have, given by the end of their path."""
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from slam_bof.geometry import (
-    N_SEARCH_STAGES,
     DepthView,
     ViewAligner,
     make_view,
@@ -91,7 +89,6 @@ class FrameFinder:
         self._reference_inlier_ratio = float("nan")
         self._reference_score = float("nan")
         self._reference_violation = 0.0
-        self._n_searches = 0  # for a better pose, if they are spread over frames
 
     @property
     def sees_enough(self) -> bool:
@@ -164,9 +161,7 @@ class FrameFinder:
     def state(self) -> dict[str, Any]:
         """Return what is usual, as JSON has it."""
         ratio, score = self._reference_inlier_ratio, self._reference_score
-        spread = {"n_searches": self._n_searches} if self.params.spread_search else {}
         return {
-            **spread,
             "usual": None if np.isnan(ratio) else ratio,
             "usual_score": None if np.isnan(score) else score,
             "usual_violation": self._reference_violation,
@@ -179,7 +174,6 @@ class FrameFinder:
         self._reference_inlier_ratio = float("nan") if ratio is None else ratio
         self._reference_score = float("nan") if score is None else score
         self._reference_violation = state.get("usual_violation", 0.0)
-        self._n_searches = state.get("n_searches", 0)
 
     def _learn(self, registration: _Registration) -> None:
         """Learn what is usual."""
@@ -233,10 +227,9 @@ class FrameFinder:
         if registration.agreement <= 1.0 - MARGIN:
             guessed = self._evaluate(view_id, T_odom_view, T_view_guess)
             if guessed.agreement > registration.agreement + MARGIN:
-                registration, T = guessed, T_view_guess
-        T_improved = self._improve(view_id, T_odom_view, T, recent)
-        if T_improved is not T:
-            registration, T = self._evaluate(view_id, T_odom_view, T_improved), T_improved
+                registration = guessed
+        registration = self._improve(registration, T_odom_view, recent)
+        T = registration.T_view_frame
         min_pairs = int(self.params.min_surface_ratio * self.params.alignment.n_points)
         found = open_directions(self._aligner, FRAME, view_id, T, min_pairs=min_pairs)
         if found is None:  # too few surfaces to hold anything
@@ -249,37 +242,27 @@ class FrameFinder:
         return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=tangents)
 
     def _improve(
-        self, view_id: int, T_odom_view: Pose, T_view_frame: Pose, recent: RecentPoses
-    ) -> Pose:
+        self, registration: _Registration, T_odom_view: Pose, recent: RecentPoses
+    ) -> _Registration:
         """Return a better pose if the views agree less than usual and there is one."""
+        view_id, T_view_frame = registration.view_id, registration.T_view_frame
         score = self._score(view_id, T_view_frame)
         # Nothing is usual yet at first, so the comparison is false and a better pose is looked for.
         if not score >= self._reference_score - self.params.max_score_drop:
             T_view_last = se3.inverse(T_odom_view) @ recent.T_last
             step = se3.inverse(recent.T_before) @ recent.T_last
             starts = np.stack([T_view_last, T_view_last @ step])
-            T_view_frame = search_weak_directions(
-                self._aligner,
-                FRAME,
-                view_id,
-                T_view_frame,
-                starts,
-                seed=self._seed,
-                stages=self._next_stages(),
+            T_found = search_weak_directions(
+                self._aligner, FRAME, view_id, T_view_frame, starts, seed=self._seed
             )
-            score = self._score(view_id, T_view_frame)
+            if T_found is not T_view_frame:
+                registration = self._evaluate(view_id, T_odom_view, T_found)
+                score = self._score(view_id, T_found)
         if view_id == KEYFRAME:
             if np.isnan(self._reference_score):
                 self._reference_score = score
             self._reference_score += FORGETTING * (score - self._reference_score)
-        return T_view_frame
-
-    def _next_stages(self) -> Collection[int]:
-        """Return the stages of the search that are this frame's."""
-        if not self.params.spread_search:
-            return range(N_SEARCH_STAGES)
-        self._n_searches += 1
-        return [(self._n_searches - 1) % N_SEARCH_STAGES]
+        return registration
 
     def _score(self, view_id: int, T_view_frame: Pose) -> float:
         found = self._aligner.agreement_score(FRAME, np.array([view_id]), T_view_frame[None])

@@ -64,11 +64,6 @@ class TrackingParams(Params):
         description="Largest drop of the agreement score below its running mean at which no other "
         "starts are tried.",
     )
-    spread_search: bool = Field(
-        False,
-        description="Whether the search for a better pose of a frame whose agreement score has "
-        "dropped is spread over three such frames in a row, so that no frame takes long.",
-    )
     max_score_drop_relocalised: float = Field(
         0.2,
         ge=0,

@@ -68,7 +68,7 @@ def test_code_is_kept_for_the_next_process(tmp_path: Path):
     assert kept_in in again
 
 
-@pytest.mark.parametrize("name", ["project", "interpolated_depth"])
+@pytest.mark.parametrize("name", ["project", "sampled_by_axis"])
 def test_annotations_and_docstrings_stay(name):
     from slam_bof.geometry import projection
 

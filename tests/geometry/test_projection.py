@@ -38,7 +38,7 @@ def projected(views, T, points):
 def depth_at(views, point):
     """Depth that the only view has where a point falls."""
     ((column,), (row,), _) = projected(views, np.eye(4), [point])
-    return interpolated_depth(views, 0, column, row)
+    return interpolated_depth(views.depths_m[0], views.width, views.height, column, row)
 
 
 def test_the_point_of_a_pixel_falls_on_it(wall):

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from slam_bof.geometry import ViewAligner, se3
+from slam_bof.geometry import se3
 from slam_bof.slam import LoopCloser
 from slam_bof.synthetic import DegenerateCase, drifted, render_case
-from slam_bof.tracking import Tracker, TrackingParams
+from slam_bof.tracking import Tracker, TrackingParams, frame_finder
 
 N_FRAMES = 12
 STEP_RAD = 0.06
@@ -31,9 +31,9 @@ def covered(frame):
     return replace(frame, depth=np.zeros_like(frame.depth))
 
 
-def follow(frames, odometry, every=4, params=None):
+def follow(frames, odometry, every=4):
     """Track all, keep some, and return the tracks."""
-    tracker = Tracker(params)
+    tracker = Tracker()
     tracks = []
     for i, (frame, T) in enumerate(zip(frames, odometry, strict=True)):
         tracks.append(tracker.track(frame, T))
@@ -48,15 +48,13 @@ def off(tracks, truth):
     return np.linalg.norm(T[:, :3, 3], axis=1), np.degrees(se3.rotation_angle(T))
 
 
-@pytest.mark.parametrize("spread_search", [False, True])
-def test_slips_are_mended(turn, spread_search):
+def test_slips_are_mended(turn):
     frames, truth = turn
-    params = TrackingParams(spread_search=spread_search)
     tangents = np.outer(np.arange(N_FRAMES), [0.0, 0.02, 0.005, 0.03, 0.0, 0.02])
     slips = se3.exp(tangents)  # 4 cm and 1.2 degrees more in each frame
-    tracker, tracks = follow(frames, truth @ slips, params=params)
+    tracker, tracks = follow(frames, truth @ slips)
     far_m, far_deg = off(tracks, truth)
-    assert off(follow(frames, truth, params=params)[1], truth)[0].max() < 0.03
+    assert off(follow(frames, truth)[1], truth)[0].max() < 0.03
     assert far_m.max() < 0.03
     assert far_deg.max() < 1.0
     assert tracker.n_lost == 0
@@ -267,27 +265,27 @@ def test_along_open_directions_a_step_is_as_uncertain_as_odometry():
     assert ahead < 0.1 * aside
 
 
-def test_a_search_is_spread_over_frames_whose_score_dropped(turn, monkeypatch):
-    """Frames whose scores can never be usual are searched for by 8 poses, or by 2, 4 and 2."""
-    n_refined = []
-    refine = ViewAligner.refine
+def test_only_frames_whose_score_dropped_are_searched_for(turn, monkeypatch):
+    searched = []
+    search = frame_finder.search_weak_directions
 
-    def counted(aligner, query, matches, T_match_query):
-        n_refined.append(len(matches))
-        return refine(aligner, query, matches, T_match_query)
+    def counted(*arguments, **options):
+        searched.append(None)
+        return search(*arguments, **options)
 
-    monkeypatch.setattr(ViewAligner, "refine", counted)
+    monkeypatch.setattr(frame_finder, "search_weak_directions", counted)
     frames, truth = turn
-    for spread_search, expected in ((False, {9}), (True, {3, 5})):
-        tracker = Tracker(TrackingParams(spread_search=spread_search, max_score_drop=0.0))
+    n_searched = []
+    for max_score_drop in (1.0, 0.0):
+        tracker = Tracker(TrackingParams(max_score_drop=max_score_drop))
         tracker.track(frames[0], truth[0])
         tracker.keep()
-        searched = []
-        for frame, T in zip(frames[1:6], truth[1:6], strict=True):
-            n_refined.clear()
+        tracker.track(frames[1], truth[1])  # nothing is usual yet
+        searched.clear()
+        for frame, T in zip(frames[2:7], truth[2:7], strict=True):
             tracker.track(frame, T)
-            searched.append(sum(n_refined))
-        assert set(searched) - {1} == expected
+        n_searched.append(len(searched))
+    assert n_searched[0] == 0 < n_searched[1]
 
 
 def test_with_covariances_a_restored_tracker_goes_on_as_before():
@@ -297,7 +295,7 @@ def test_with_covariances_a_restored_tracker_goes_on_as_before():
     odometry = se3.inverse(poses[0]) @ poses
     odometry[:, :3, 3] *= 1.05
     covariance = np.diag([1e-6] * 3 + [1e-4] * 3)
-    whole, restored = (Tracker(TrackingParams(spread_search=True)) for _ in range(2))
+    whole, restored = (Tracker() for _ in range(2))
     for k in range(8):
         track = whole.track(frames[k], odometry[k], covariance)
         if k in (0, 7):

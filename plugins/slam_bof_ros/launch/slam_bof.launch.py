@@ -18,11 +18,12 @@ def generate_launch_description() -> LaunchDescription:
         "parameters": str(SHARE / "config" / "slam_bof.yaml"),
         "depth": "/camera/depth",
         "image": "image_rect_raw",
+        "cloud": "/camera/points",
         "odom": "/odom",
         "map_file": "~/.ros/slam_bof/map.db",
         "mode": "mapping",
     }
-    depth = LaunchConfiguration("depth")
+    depth, image = LaunchConfiguration("depth"), LaunchConfiguration("image")
     return LaunchDescription(
         [
             *(
@@ -39,8 +40,14 @@ def generate_launch_description() -> LaunchDescription:
                     {name: LaunchConfiguration(name) for name in ("map_file", "mode")},
                 ],
                 remappings=[
-                    ("depth/image_rect_raw", [depth, "/", LaunchConfiguration("image")]),
+                    ("depth/image_rect_raw", [depth, "/", image]),
+                    # A topic below another one is not remapped with it.
+                    (
+                        "depth/image_rect_raw/compressedDepth",
+                        [depth, "/", image, "/compressedDepth"],
+                    ),
                     ("depth/camera_info", [depth, "/camera_info"]),
+                    ("cloud", LaunchConfiguration("cloud")),
                     ("odom", LaunchConfiguration("odom")),
                 ],
             ),

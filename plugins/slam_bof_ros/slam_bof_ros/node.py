@@ -29,6 +29,7 @@ from slam_bof.types import Step
 from slam_bof_ros import outputs
 from slam_bof_ros.frames import FrameSource, PosedFrame
 from slam_bof_ros.mapper import Mapper, MapperSettings
+from slam_bof_ros.parameters import PARAMETERS, check_parameter
 from slam_bof_ros.transforms import TransformTree
 
 __all__ = ["SlamBofNode", "main"]
@@ -38,26 +39,6 @@ LOSS = (
     "DDS loses messages of sensors on the way here: send large ones by another transport, or "
     "subscribe reliably (see the documentation)"
 )
-PARAMETERS: dict[str, Any] = {
-    "map_file": "~/.ros/slam_bof/map.db",
-    "mode": "mapping",
-    "config": "indoor",
-    "set": [""],
-    "odom_frame": "odom",
-    "base_frame": "base_link",
-    "map_frame": "map",
-    "use_tf": False,
-    "use_covariance": True,
-    "background": True,
-    "input": "depth",
-    "compressed": False,
-    "rectified": True,
-    "tf_rate": 20.0,
-    "tf_ahead_s": 0.1,
-    "graph_period_s": 2.0,
-    "map_period_s": 10.0,
-    "max_map_keyframes": 200,
-}
 
 
 class SlamBofNode(Node):
@@ -67,6 +48,7 @@ class SlamBofNode(Node):
         super().__init__("slam_bof", **options)
         for name, default in PARAMETERS.items():
             self.declare_parameter(name, default)
+            check_parameter(name, self._value(name))
         self._tree = TransformTree()
         self._source = FrameSource(
             self._tree,

@@ -13,6 +13,9 @@ import pytest
 import yaml
 from conftest import ROOT
 
+from slam_bof.errors import ConfigError
+from slam_bof_ros.parameters import PARAMETERS, check_parameter
+
 PACKAGE = ROOT / "plugins" / "slam_bof_ros"
 SOURCES = {path.name: ast.parse(path.read_text()) for path in PACKAGE.glob("slam_bof_ros/*.py")}
 LAUNCH = PACKAGE / "launch" / "slam_bof.launch.py"
@@ -26,15 +29,6 @@ def imported(tree):
             yield from (alias.name.partition(".")[0] for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             yield node.module.partition(".")[0]
-
-
-def constant(name):
-    """The value of a constant of node.py, without what only ROS can evaluate."""
-    for node in SOURCES["node.py"].body:
-        target = node.target if isinstance(node, ast.AnnAssign) else None
-        if isinstance(target, ast.Name) and target.id == name:
-            return ast.literal_eval(node.value)
-    raise AssertionError(name)
 
 
 def test_package_xml_names_all_that_is_imported():
@@ -51,7 +45,7 @@ def test_package_xml_names_all_that_is_imported():
 
 def test_the_file_of_parameters_lists_them_all_with_their_defaults():
     written = yaml.safe_load((PACKAGE / "config" / "slam_bof.yaml").read_text())
-    assert written["/**"]["ros__parameters"] == constant("PARAMETERS")
+    assert written["/**"]["ros__parameters"] == PARAMETERS
 
 
 class Called:
@@ -87,16 +81,26 @@ def test_the_launch_file_starts_the_node_with_what_it_knows(launched):
     name = ElementTree.parse(PACKAGE / "package.xml").getroot().findtext("name")
     assert (node["package"], node["executable"]) == (name, script)
     file, changed = node["parameters"]
-    assert set(changed) <= set(constant("PARAMETERS"))
+    assert set(changed) <= set(PARAMETERS)
     assert Path(declared["parameters"]).is_file()
-    listened = (PACKAGE / "slam_bof_ros" / "node.py").read_text()
-    for topic, _ in node["remappings"]:
-        assert f'"{topic}' in listened, topic
+    source = (PACKAGE / "slam_bof_ros" / "node.py").read_text()
+    suffix = re.search(r'suffix = "(/\w+)"', source).group(1)
+    topics = {topic for _, topic in re.findall(r'_hear\((\w+), f?"([\w/]+)', source)}
+    assert {topic for topic, _ in node["remappings"]} == topics | {f"depth/image_rect_raw{suffix}"}
     parts = [*changed.values(), file]
     for _, target in node["remappings"]:
         parts += target if isinstance(target, list) else [target]
     used = {part.args[0] for part in parts if isinstance(part, Called)}
     assert used == set(declared)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("mode", "localisation"), ("input", "image"), ("tf_rate", 0.0)]
+)
+def test_a_parameter_that_is_none_is_refused_with_its_name(name, value):
+    check_parameter(name, PARAMETERS[name])
+    with pytest.raises(ConfigError, match=f"parameter {name}: found"):
+        check_parameter(name, value)
 
 
 def test_rviz_shows_topics_that_the_node_publishes():
