@@ -86,6 +86,8 @@ REMOVED_KEYS = (
     "search.n_voted",
     "search.constellation_weight",
     "search.index",
+    "tracking.alignment_sigma_rad",
+    "tracking.alignment_sigma_m",
 )
 """Keys of earlier versions that a saved map may still have, given by the end of their path."""
 
