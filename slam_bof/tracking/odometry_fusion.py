@@ -32,13 +32,14 @@ N_REFERENCE = 6
 OUTLIER = 5.0
 """An alignment that is off by more than this multiple of what is expected is a slip of odometry, or
 is wrong. It counts as this much in what is learnt."""
-MARGIN = 1.0
-"""Odometry that errs by less in a step than an alignment does, in variances, is left alone."""
+MARGIN = 2.0
+"""Odometry that errs in a step by no more than this multiple of an alignment's variance is left
+alone."""
 MIN_STEADINESS = 1.0
 """Odometry is the steadier of the two if the mean squares of changes from step to step differ by
 this multiple of that of differences between odometry and alignment. If odometry errs, it is
 negative, or near zero if odometry follows the motion too little."""
-MAX_ALIGNMENT_VARIANCE = 50.0
+MAX_ALIGNMENT_VARIANCE = 1000.0
 """Differences of more than this, in terms of what the points of an alignment tell, are
 odometry's."""
 RESTART_VARIANCE = 0.1**2
@@ -63,9 +64,9 @@ class OdometryFusion:
         self._is_aligned = False  # with this keyframe, any frame
         self._last: Array | None = None  # (2, 4, 4) of the last frame, by odometry and as fused
         self._steps: Array | None = None  # (2, 6) to it by odometry and by alignment
-        # In terms of the variance of an alignment along each direction:
+        # In terms of the variance that the points of an alignment tell along each direction:
         self._n = 0
-        self._excess = np.zeros(6)  # of odometry's steps, the direction that is held best first
+        self._squares = np.zeros(6)  # of odometry's step and alignment, the best direction first
         self._n_steps = 0
         self._difference = 0.0  # mean square between odometry and alignment
         self._unsteadiness = 0.0  # mean square change of step, of alignment less odometry's
@@ -88,7 +89,7 @@ class OdometryFusion:
             "last": None if self._last is None else self._last.tolist(),
             "steps": None if self._steps is None else self._steps.tolist(),
             "n": self._n,
-            "excess": self._excess.tolist(),
+            "squares": self._squares.tolist(),
             "n_steps": self._n_steps,
             "difference": self._difference,
             "unsteadiness": self._unsteadiness,
@@ -98,13 +99,13 @@ class OdometryFusion:
         """Go on from there."""
         self.change_keyframe()
         self._T_track_odometry = np.array(state["T_track_odometry"])
-        if "excess" not in state:
+        if "squares" not in state:
             return  # a map that was saved before directions were weighed one by one
         last, steps = state["last"], state["steps"]
         self._last = None if last is None else np.array(last)
         self._steps = None if steps is None else np.array(steps)
         self._n, self._n_steps = state["n"], state["n_steps"]
-        self._excess = np.array(state["excess"])
+        self._squares = np.array(state["squares"])
         self._difference, self._unsteadiness = state["difference"], state["unsteadiness"]
 
     def predict(self, T_odometry: Pose) -> Pose:
@@ -139,15 +140,14 @@ class OdometryFusion:
         whiten, unwhiten = _whitening(information)
         innovation = whiten @ se3.log(se3.inverse(T_predicted) @ T_aligned)
         n = len(innovation)
-        scale = self._compare_steps(T_odometry, T_aligned, whiten, innovation)
-        whiten, unwhiten, innovation = whiten / scale, unwhiten * scale, innovation / scale
-        before = whiten @ self.covariance @ whiten.T
+        variance = self._compare_steps(T_odometry, T_aligned, whiten, innovation)
         if step_covariance is None:
-            odometry_step = np.diag(self._learn(innovation, np.diag(before)))
-            covariance = self.covariance + unwhiten @ odometry_step @ unwhiten.T
+            before = whiten @ self.covariance @ whiten.T
+            of_step = self._learn(innovation, np.diag(before), variance)
+            covariance = self.covariance + (unwhiten * of_step) @ unwhiten.T
         else:
             covariance = self.covariance + step_covariance
-        expected = whiten @ covariance @ whiten.T + np.eye(n)
+        expected = whiten @ covariance @ whiten.T + variance * np.eye(n)
         gain = np.linalg.solve(expected, whiten @ covariance).T
         if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * n:
             # Where nothing else has been aligned with this keyframe, it may be odometry that holds.
@@ -161,25 +161,26 @@ class OdometryFusion:
         self._last = np.stack([T_odometry, T_fused])
         return np.asarray(T_fused)
 
-    def _learn(self, innovation: Array, expected: Array) -> Array:
+    def _learn(self, innovation: Array, expected: Array, variance: float) -> Array:
         """Learn from a whitened innovation (n,); return the variances (n,) of odometry's step.
 
-        ``expected`` (n,) are the variances of the pose before that step.
+        ``expected`` (n,) are the variances of the pose before that step, and ``variance`` is that
+        of alignment.
         """
         self._n += 1
         weight = max(FORGETTING, 1.0 / self._n)
         n = len(innovation)
-        known = self._excess[:n]
-        found = innovation**2 - 1.0 - expected
+        known = self._squares[:n]
+        found = innovation**2 - expected
         if self._n > N_REFERENCE:
-            found = np.minimum(found, OUTLIER**2 * (1.0 + np.maximum(known, 0.0)))
-        self._excess = np.append(known + weight * (found - known), self._excess[n:])
-        return np.maximum(self._excess[:n] - MARGIN, 0.0)
+            found = np.minimum(found, OUTLIER**2 * np.maximum(known, variance))
+        self._squares = np.append(known + weight * (found - known), self._squares[n:])
+        return np.maximum(self._squares[:n] - (1.0 + MARGIN) * variance, 0.0)
 
     def _compare_steps(
         self, T_odometry: Pose, T_aligned: Pose, whiten: Array, innovation: Array
     ) -> float:
-        """Return the standard deviation of an alignment in terms of what its points tell."""
+        """Return the variance of an alignment in terms of what its points tell."""
         before, self._steps = self._steps, None
         if self._last is None or len(whiten) == 0:
             return 1.0
@@ -201,7 +202,7 @@ class OdometryFusion:
             and self._difference < MAX_ALIGNMENT_VARIANCE
             and self._unsteadiness > MIN_STEADINESS * self._difference
         )
-        return float(np.sqrt(max(self._difference, 1.0))) if is_steady else 1.0
+        return max(self._difference, 1.0) if is_steady else 1.0
 
 
 def _whitening(information: Array) -> tuple[Array, Array]:
