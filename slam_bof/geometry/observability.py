@@ -29,6 +29,13 @@ MIN_SCORE_DROP = 0.02
 OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
 KEEP_ITERATIONS = 2
+HELD_INFORMATION = 1e-4
+"""Least share of the information along a direction that is not open."""
+NOISE_FACTOR = 1.5
+"""Standard deviation of an alignment, as a multiple of what it were if the residuals of all points
+were independent. Neighbours err alike; on synthetic scenes the factor is 1.1 to 2.7, whatever the
+sensor and the direction."""
+MIN_VARIANCE_M2 = 1e-10
 MIN_PAIRS = 30
 MIN_RADIUS_M = 0.05
 
@@ -39,12 +46,14 @@ class PrincipalDirections(NamedTuple):
     Directions are the columns of ``axes`` (6, 6). They are displacements in metres, in the query's
     camera frame: a rotation about ``centre`` (3,) times ``radius_m``, then a translation.
     ``information`` (6,) is the mean over the points for each direction, in ascending order.
+    ``variance`` is that of an aligned pose along a direction of information 1, in m^2.
     """
 
     centre: Array
     radius_m: float
     information: Array
     axes: Array
+    variance: float
 
     @classmethod
     def of(cls, pairs: SurfacePairs, min_pairs: int = MIN_PAIRS) -> PrincipalDirections | None:
@@ -58,7 +67,8 @@ class PrincipalDirections(NamedTuple):
             return None
         centre, radius_m, cross = cross_information(points, pairs.facing_query, pairs.normals_query)
         information, axes = np.linalg.eigh(0.5 * (cross + cross.T))
-        return cls(centre, radius_m, information, axes)
+        variance = NOISE_FACTOR**2 * np.mean(np.square(pairs.residuals_m)) / len(points)
+        return cls(centre, radius_m, information, axes, max(float(variance), MIN_VARIANCE_M2))
 
     @property
     def weak_axes(self) -> Array:
@@ -87,6 +97,16 @@ class PrincipalDirections(NamedTuple):
         A[3:, :3] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
         A[3:, 3:] = np.eye(3)
         return A
+
+    def pose_information(self, open_axes: Array) -> Array:
+        """Return the information (6, 6) of the tangent of an aligned pose, none along axes (6, k).
+
+        It is the inverse of its covariance, in 1/rad^2 and 1/m^2, rotation first.
+        """
+        A = self.of_tangent()
+        held = np.eye(6) - open_axes @ open_axes.T
+        values = np.maximum(self.information, HELD_INFORMATION) / self.variance
+        return np.asarray(A.T @ held @ (self.axes * values) @ self.axes.T @ held @ A)
 
     def without(self, information: Array, axes: Array) -> Array:
         """Return the information (6, 6) of a pose's tangent, reduced to almost none along axes."""

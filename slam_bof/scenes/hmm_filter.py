@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
+from slam_bof.core import GrowingArray
 from slam_bof.scenes.view_novelty import PATH_M, novelty, pooled
 from slam_bof.types import Array, Params, Scene
 
@@ -116,8 +117,7 @@ class SceneFilter:
         self._stamp_s = 0.0
         self._position_m = np.zeros(3)
         self._segment = 0
-        self._seen_m: list[Array] = []
-        self._axes: list[Array] = []
+        self._seen = GrowingArray((2, 3), np.float64)  # positions and viewing directions
         self._sums: Array | None = None
 
     def update(
@@ -164,17 +164,16 @@ class SceneFilter:
     def _pool(self, scene: Scene, best: int, position_m: Array, axis: Array, segment: int) -> Array:
         """Return the probabilities by the last views whose most probable scene was this one."""
         if segment != self._segment:
-            self._seen_m, self._axes = [], []
-        step_m = float(np.linalg.norm(position_m - self._seen_m[-1])) if self._seen_m else 0.0
+            self._seen.truncate(0)
+        seen_m, axes = self._seen.rows[:, 0], self._seen.rows[:, 1]
+        step_m = float(np.linalg.norm(position_m - seen_m[-1])) if len(seen_m) else 0.0
         decay = np.exp(-step_m / PATH_M) if np.isfinite(step_m) else 1.0
-        seen_m, axes = (np.reshape(seen, (-1, 3)) for seen in (self._seen_m, self._axes))
         new = novelty(position_m, axis, seen_m, axes)
         logs = weighted_log_likelihood(scene.probabilities, 1.0)
         before = np.zeros((len(logs), len(logs) + 2)) if self._sums is None else self._sums
         self._sums = before * decay
         self._sums[best] += [*logs, new, 1.0]
-        self._seen_m.append(position_m)
-        self._axes.append(axis)
+        self._seen.append([position_m, axis])
         own = self._sums[best]
         return pooled(own[:-2], own[-2], own[-1], self._params.new_view_weight)
 

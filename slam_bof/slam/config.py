@@ -87,6 +87,8 @@ REMOVED_KEYS = (
     "search.constellation_weight",
     "search.index",
     "tracking.spread_search",
+    "tracking.alignment_sigma_rad",
+    "tracking.alignment_sigma_m",
 )
 """Keys of earlier versions that a saved map may still have, given by the end of their path."""
 

@@ -11,8 +11,9 @@ each two. Let A, B and C be the differences between odometry and the edges i-j, 
   A C + B C + 2 A B is the variance of odometry from i to k, whatever the noise of edges and views.
 
 Noise by which each pose of odometry is off by itself adds to the differences from one keyframe to
-the next, beyond the noise of their edges. A slow drift that always goes the same way is no random
-walk and hardly shows in short edges; it shows in those between keyframes that are far apart.
+the next, beyond the noise of their edges. So does that of views, but then it is the edges that move
+less steadily from step to step. A slow drift that always goes the same way is no random walk and
+hardly shows in short edges; it shows in those between keyframes that are far apart.
 
 Some edges are wrong, so squares are taken by their median, and products of few count no more than
 a multiple of the median.
@@ -71,6 +72,8 @@ class OdometryNoise:
         self._walks: deque[tuple[int, Array]] = deque(maxlen=N_KEPT)  # with keyframes passed
         self._closures: deque[Array] = deque(maxlen=N_KEPT)
         self._off_steps: deque[Array] = deque(maxlen=N_KEPT)
+        self._steps: dict[int, Array] = {}  # (2, 6) to a keyframe, by odometry and by the edge
+        self._unsteadiness: deque[Array] = deque(maxlen=N_KEPT)  # of edges less odometry's
         self._off_long: deque[tuple[int, Array]] = deque(maxlen=N_KEPT)  # with keyframes passed
         self._whitened: deque[float] = deque(maxlen=N_KEPT)
         self._step_sigmas: Array | None = None
@@ -107,6 +110,12 @@ class OdometryNoise:
         off, n_passed = _squares(self._neighbours[match_id][query_id]), query_id - match_id
         if n_passed == 1:
             self._off_steps.append(off)
+            steps = se3.log(np.stack([by_odometry, T_match_query]))
+            before = self._steps.pop(match_id, None)
+            self._steps[query_id] = steps
+            if before is not None:
+                changes = _squares(steps - before)
+                self._unsteadiness.append(changes[1] - changes[0])
         if n_passed > LONG:
             self._off_long.append((n_passed, off))
 
@@ -122,6 +131,10 @@ class OdometryNoise:
         most = OUTLIER * np.median(np.abs(walks), axis=0)
         walk = np.average(np.clip(walks, -most, most), axis=0, weights=n_passed) / 3.0
         step = np.maximum(_variance(self._off_steps) - edge, 0.0)
+        if len(self._unsteadiness) >= MIN_STEPS:
+            unsteadiness = np.median(list(self._unsteadiness), axis=0)
+            is_of_views = unsteadiness > np.median(list(self._off_steps), axis=0)
+            step = np.where(is_of_views, 0.0, step)
         self._step_sigmas = np.sqrt((np.maximum(walk, 0.0) + step) / edge)
         if self._off_long:
             n_passed, off = map(np.array, zip(*self._off_long, strict=True))
@@ -131,6 +144,7 @@ class OdometryNoise:
     def forget(self, keyframe_id: int) -> None:
         """Forget a keyframe that gets no further edges; what was learnt from it stays."""
         self.T_odom_camera.pop(keyframe_id, None)
+        self._steps.pop(keyframe_id, None)
         for other in self._neighbours.pop(keyframe_id, {}):
             del self._neighbours[other][keyframe_id]
             del self._edges[min(other, keyframe_id), max(other, keyframe_id)]

@@ -28,7 +28,7 @@ PRECISE = MIN_RELATIVE_SIGMA_LONG
 SLIP, SLIP_PRECISE = 5.0, 20.0
 """Odometry has slipped where it differs from tracking by this multiple of what is usual. If it is
 precise, an alignment is more likely to be wrong."""
-MAX_STEP_SIGMA = 2.0
+MAX_STEP_SIGMA = 2.5
 """Odometry is trusted against single views if its steps have at most this multiple of it."""
 
 

@@ -31,6 +31,7 @@ REFERENCE_RATIO_RANGE = 0.5, 0.85
 FORGETTING = 0.1
 """Weight of each later frame in the usual inlier ratio, score and free-space violation."""
 NO_AXES: Array = np.empty((6, 0))
+NO_INFORMATION: Array = np.zeros((6, 6))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +61,8 @@ class _Registration(NamedTuple):
     free_space_violation: float
     open_axes: Array = NO_AXES
     """Tangents (6, k) of the pose along which the surfaces hold nothing."""
+    information: Array = NO_INFORMATION
+    """(6, 6) of the tangent of the pose, zero along open axes."""
 
 
 class Found(NamedTuple):
@@ -73,6 +76,8 @@ class Found(NamedTuple):
     """Whether it follows the frame before, without a jump."""
     open_axes: Array = NO_AXES
     """Tangents (6, k) of the pose along which the surfaces hold nothing."""
+    information: Array = NO_INFORMATION
+    """(6, 6) of the tangent of the pose, zero along open axes."""
     begins_segment: bool = False
     """Whether it agrees with the frame before, though both are lost to the keyframe."""
 
@@ -142,7 +147,9 @@ class FrameFinder:
         agrees = self._is_good if leaps else self._is_usual
         if not is_lost and agrees(followed):
             self._learn(followed)
-            return Found(followed.T_odom_frame, inlier_ratio, True, followed.open_axes)
+            return Found(
+                followed.T_odom_frame, inlier_ratio, True, followed.open_axes, followed.information
+            )
         from_before = None
         if self._before is not None:
             self._aligner.add(self._before)
@@ -235,11 +242,14 @@ class FrameFinder:
         if found is None:  # too few surfaces to hold anything
             return self._evaluate(view_id, T_odom_view, T_view_guess)._replace(open_axes=np.eye(6))
         directions, open_axes = found
+        information = directions.pose_information(open_axes)
         if open_axes.shape[1] == 0:
-            return registration
+            return registration._replace(information=information)
         T = directions.keep(open_axes, T, T_view_guess)
         tangents: Array = np.asarray(np.linalg.solve(directions.of_tangent(), open_axes))
-        return self._evaluate(view_id, T_odom_view, T)._replace(open_axes=tangents)
+        return self._evaluate(view_id, T_odom_view, T)._replace(
+            open_axes=tangents, information=information
+        )
 
     def _improve(
         self, registration: _Registration, T_odom_view: Pose, recent: RecentPoses

@@ -1,17 +1,15 @@
-"""Weigh odometry against alignment with a keyframe by the noise that each shows.
+"""Weigh odometry against alignment with the last keyframe, direction by direction.
 
-Alignment does not drift; its errors, of some mm, are independent from frame to frame. Odometry
-drifts; from frame to frame it may err by less than alignment (scan to a fine map) or by far more
-(scan to a coarse one). Three variances describe this: of odometry's drift in a step, and of the
-independent errors of either. They show in the differences between the steps of both: the two noises
-make one difference the opposite of the last, drift does not (as in Mehra, IEEE T-AC 1970); and
-which of the two noises is the greater shows in how unsteadily each moves. The correction of the
-drift then follows a Kalman filter in its steady state, and the pose lies between the corrected
-odometry and the alignment.
+A Kalman filter of the pose relative to the keyframe. Each step of odometry adds to its covariance,
+each alignment takes from it, more along directions that the surfaces hold well than along those
+that they hold weakly. The covariance of an alignment is known from its points
+(``geometry.PrincipalDirections``). That of odometry's steps is either given, or learnt along each
+principal direction from how far alignments are from where the filter expects them (as in Mehra,
+IEEE T-AC 1970), as far as that is more than an alignment may be off itself.
 
-Where most frames become keyframes, because frames are few, this is not known, since hardly three in
-a row are aligned with the same one. ``StepNoise`` then tells whether odometry or alignment errs
-more.
+Some sensors err alike over large parts of a view, as that of a phone does; their alignments are
+less precise than their points tell. That shows where odometry moves steadily and alignment does
+not.
 """
 
 from __future__ import annotations
@@ -21,151 +19,201 @@ from typing import Any
 import numpy as np
 
 from slam_bof.geometry import se3
-from slam_bof.tracking.step_noise import (
-    FORGETTING,
-    SLIP,
-    TINY,
-    StepNoise,
-    products,
-    square,
-)
 from slam_bof.types import Array, Pose
 
 __all__ = ["OdometryFusion"]
 
+FORGETTING = 0.05
+"""Weight of the newest frame in what is known of odometry: about a second of a camera."""
+FORGETTING_STEADINESS = 0.01
+"""The same of how steadily odometry and alignment move."""
 N_REFERENCE = 6
 """Frames after which it is known what is usual."""
 OUTLIER = 5.0
-"""Greater ones than this count as this much in what is usual."""
-MAX_WANDER = 0.9
-"""Largest share of the drift that is alignment's: a steady drift of odometry looks like that."""
+"""An alignment that is off by more than this multiple of what is expected is a slip of odometry, or
+is wrong. It counts as this much in what is learnt."""
+MARGIN = 2.0
+"""Odometry that errs in a step by no more than this multiple of an alignment's variance is left
+alone."""
+MIN_STEADINESS = 1.0
+"""Odometry is the steadier of the two if the mean squares of changes from step to step differ by
+this multiple of that of differences between odometry and alignment. If odometry errs, it is
+negative, or near zero if odometry follows the motion too little."""
+MAX_ALIGNMENT_VARIANCE = 1000.0
+"""Differences of more than this, in terms of what the points of an alignment tell, are
+odometry's."""
+RESTART_VARIANCE = 0.1**2
+"""Of a pose after a restart, in rad^2 and m^2."""
+MIN_INFORMATION = 1e-6
+"""Directions with a smaller share of the largest information are open."""
 
 
 class OdometryFusion:
-    """Takes each frame's poses by odometry and by alignment, and says where it is."""
+    """Takes each frame's poses by odometry and by alignment, and says where it is.
+
+    Attributes
+    ----------
+    covariance
+        (6, 6) of the tangent of the last frame's pose relative to the keyframe, rotation first, in
+        rad^2 and m^2.
+    """
 
     def __init__(self) -> None:
+        self.covariance: Array = np.zeros((6, 6))
         self._T_track_odometry: Pose = np.eye(4)
-        # Of odometry and of alignment:
-        self._poses: Array | None = None  # (2, 4, 4) of the last frame
-        self._steps: Array | None = None  # (2, 6) since the one before
+        self._is_aligned = False  # with this keyframe, any frame
         self._last: Array | None = None  # (2, 4, 4) of the last frame, by odometry and as fused
+        self._steps: Array | None = None  # (2, 6) to it by odometry and by alignment
+        # In terms of the variance that the points of an alignment tell along each direction:
         self._n = 0
-        self._step_noise = StepNoise()
-        # Of rotation and of translation, each (2,):
-        self._difference = np.full(2, TINY)  # mean square between the steps of both
-        self._after = np.zeros(2)  # the same, of one and the next
-        self._unsteady = np.zeros(2)  # mean square change of step, of alignment less odometry's
+        self._squares = np.zeros(6)  # of odometry's step and alignment, the best direction first
+        self._n_steps = 0
+        self._difference = 0.0  # mean square between odometry and alignment
+        self._unsteadiness = 0.0  # mean square change of step, of alignment less odometry's
 
     def restart(self, T_odometry: Pose, T_track: Pose) -> None:
         """Take a frame's pose (4, 4) for what it is, and odometry's steps from there on."""
         self._T_track_odometry = _rigid(T_track @ se3.inverse(T_odometry))
-        self._poses = self._steps = self._last = None
+        self.covariance = RESTART_VARIANCE * np.eye(6)
+        self._last = self._steps = None
 
-    def carry(self, T: Pose) -> None:
-        """Move the whole track by ``T`` (4, 4)."""
-        self._T_track_odometry = _rigid(T @ self._T_track_odometry)
-        if self._poses is not None:
-            self._poses = np.stack([self._poses[0], T @ self._poses[1]])
-        if self._last is not None:
-            self._last = np.stack([self._last[0], T @ self._last[1]])
-
-    def change_reference(self) -> None:
-        """Frames are aligned with another keyframe from now on, which shifts all of them."""
-        self._poses = self._steps = None
+    def change_keyframe(self) -> None:
+        """Make the last frame the keyframe that the next ones are aligned with."""
+        self.covariance = np.zeros((6, 6))
+        self._is_aligned = False
 
     def state(self) -> dict[str, Any]:
-        """Return what was learnt so far, as JSON has it; of a frame aligned with a new keyframe."""
+        """Return what was learnt so far, as JSON has it; of a frame that is a new keyframe."""
         return {
             "T_track_odometry": self._T_track_odometry.tolist(),
-            "n": self._n,
-            "difference": self._difference.tolist(),
-            "after": self._after.tolist(),
-            "unsteady": self._unsteady.tolist(),
             "last": None if self._last is None else self._last.tolist(),
-            "step_noise": self._step_noise.state(),
+            "steps": None if self._steps is None else self._steps.tolist(),
+            "n": self._n,
+            "squares": self._squares.tolist(),
+            "n_steps": self._n_steps,
+            "difference": self._difference,
+            "unsteadiness": self._unsteadiness,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from there."""
-        self._poses = self._steps = None
-        # Maps that were saved before steps between keyframes were compared do not have them.
-        last = state.get("last")
-        self._last = None if last is None else np.array(last)
-        self._n = state["n"]
+        self.change_keyframe()
         self._T_track_odometry = np.array(state["T_track_odometry"])
-        self._difference = np.array(state["difference"])
-        self._after = np.array(state["after"])
-        self._unsteady = np.array(state["unsteady"])
-        self._step_noise = StepNoise(state.get("step_noise"))
+        if "squares" not in state:
+            return  # a map that was saved before directions were weighed one by one
+        last, steps = state["last"], state["steps"]
+        self._last = None if last is None else np.array(last)
+        self._steps = None if steps is None else np.array(steps)
+        self._n, self._n_steps = state["n"], state["n_steps"]
+        self._squares = np.array(state["squares"])
+        self._difference, self._unsteadiness = state["difference"], state["unsteadiness"]
 
     def predict(self, T_odometry: Pose) -> Pose:
         """Return the pose (4, 4) of a frame as far as odometry tells."""
         return self._T_track_odometry @ T_odometry
 
-    def fuse(self, T_odometry: Pose, T_aligned: Pose) -> Pose:
-        """Return the pose (4, 4) of a frame that has been aligned too."""
+    def skip(self, step_covariance: Array | None) -> None:
+        """Take a frame that is not aligned, with the covariance (6, 6) of odometry's step to it."""
+        if step_covariance is not None:
+            self.covariance = self.covariance + step_covariance
+        self._last = self._steps = None
+
+    def fuse(
+        self,
+        T_odometry: Pose,
+        T_aligned: Pose,
+        information: Array,
+        step_covariance: Array | None = None,
+    ) -> Pose:
+        """Return the pose (4, 4) of a frame that has been aligned too.
+
+        Parameters
+        ----------
+        T_odometry, T_aligned
+            (4, 4) each, the pose by odometry and by alignment.
+        information
+            (6, 6) of the tangent of the alignment, zero along directions that are open.
+        step_covariance
+            (6, 6) of the odometry's step to this frame; learnt if it is None.
+        """
         T_predicted = self.predict(T_odometry)
-        poses = np.stack([T_odometry, T_aligned])
-        before = poses if self._poses is None else self._poses
-        moved = se3.inverse(np.stack([T_predicted, *before])) @ np.stack([T_aligned, *poses])
-        tangents = se3.log(moved)
-        off, steps = tangents[0], tangents[1:]
-        if self._steps is not None:
-            self._learn(self._steps, steps)
-        self._steps = None if self._poses is None else steps
-        self._poses = poses
-        of_drift, of_pose = self._gains()
-        # As long as nothing is known, anything is a slip.
-        if (square(off) > SLIP**2 * self._difference).any():
-            of_drift = of_pose = np.ones(2)
-        if self._last is None:
-            self._step_noise.interrupt()
+        whiten, unwhiten = _whitening(information)
+        innovation = whiten @ se3.log(se3.inverse(T_predicted) @ T_aligned)
+        n = len(innovation)
+        variance = self._compare_steps(T_odometry, T_aligned, whiten, innovation)
+        if step_covariance is None:
+            before = whiten @ self.covariance @ whiten.T
+            of_step = self._learn(innovation, np.diag(before), variance)
+            covariance = self.covariance + (unwhiten * of_step) @ unwhiten.T
         else:
-            moved = np.stack([T_odometry, T_aligned])
-            self._step_noise.learn(se3.log(se3.inverse(self._last) @ moved))
-            if self._n <= N_REFERENCE and self._step_noise.is_known:
-                of_drift = of_pose = self._step_noise.gain(off)
-        T_corrected, T_fused = T_predicted @ se3.exp(
-            np.stack([off * of_drift.repeat(3), off * of_pose.repeat(3)])
-        )
-        self._T_track_odometry = _rigid(T_corrected @ se3.inverse(T_odometry))
+            covariance = self.covariance + step_covariance
+        expected = whiten @ covariance @ whiten.T + variance * np.eye(n)
+        gain = np.linalg.solve(expected, whiten @ covariance).T
+        if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * n:
+            # Where nothing else has been aligned with this keyframe, it may be odometry that holds.
+            share = np.trace(whiten @ gain) / n
+            is_slip = self._is_aligned or self._n <= N_REFERENCE or share > 0.5
+            gain = unwhiten if is_slip else np.zeros_like(gain)
+        self._is_aligned = True
+        self.covariance = covariance - gain @ whiten @ covariance
+        T_fused = T_predicted @ se3.exp(gain @ innovation)
+        self._T_track_odometry = _rigid(T_fused @ se3.inverse(T_odometry))
         self._last = np.stack([T_odometry, T_fused])
         return np.asarray(T_fused)
 
-    def _learn(self, before: Array, now: Array) -> None:
-        """Learn from the last two steps, each (2, 6) by odometry and by alignment."""
-        first, second = before[1] - before[0], now[1] - now[0]
-        unsteady = square(now[1] - before[1]) - square(now[0] - before[0])
-        self._n += 1
-        is_reference_known = self._n > N_REFERENCE
-        most = OUTLIER**2 * self._difference if is_reference_known else np.full(2, np.inf)
-        weight = max(FORGETTING, 1.0 / (self._n + 1))
-        squares = 0.5 * (square(first) + square(second))
-        difference = np.minimum(squares, most)
-        after = np.clip(products(first, second), -most, most)
-        unsteady = np.clip(unsteady, -6.0 * most, 6.0 * most)
-        self._difference = self._difference + weight * (difference - self._difference)
-        self._after = self._after + weight * (after - self._after)
-        self._unsteady = self._unsteady + weight * (unsteady - self._unsteady)
+    def _learn(self, innovation: Array, expected: Array, variance: float) -> Array:
+        """Learn from a whitened innovation (n,); return the variances (n,) of odometry's step.
 
-    def _gains(self) -> tuple[Array, Array]:
-        """Return how far to go to the alignment, (2,) for the drift and (2,) for the pose.
-
-        With noises a of alignment and b of odometry, drift q of odometry a step, and w by which
-        alignment wanders, as where a sensor errs alike in frames that follow each other, mean
-        squares are 2 (a + b) + q + w of differences, -(a + b) of one by the next, and
-        6 a + 2 w - (6 b + 2 q) of the changes of step, alignment's less odometry's. These do not
-        tell all four; w is the least that agrees with them.
+        ``expected`` (n,) are the variances of the pose before that step, and ``variance`` is that
+        of alignment.
         """
-        noise = np.maximum(-self._after, TINY)
-        drift = np.maximum(self._difference - 2.0 * noise, 0.0)
-        excess = self._unsteady - 6.0 * noise + 2.0 * drift
-        drift -= np.clip(excess / 4.0, 0.0, MAX_WANDER * drift)
-        of_drift = 2.0 / (1.0 + np.sqrt(1.0 + 4.0 * noise / np.maximum(drift, TINY)))
-        of_odometry = 0.5 - (self._unsteady + 2.0 * drift) / (12.0 * noise)
-        of_pose = of_drift + (1.0 - of_drift) * np.clip(of_odometry, 0.0, 1.0)
-        return of_drift, of_pose
+        self._n += 1
+        weight = max(FORGETTING, 1.0 / self._n)
+        n = len(innovation)
+        known = self._squares[:n]
+        found = innovation**2 - expected
+        if self._n > N_REFERENCE:
+            found = np.minimum(found, OUTLIER**2 * np.maximum(known, variance))
+        self._squares = np.append(known + weight * (found - known), self._squares[n:])
+        return np.maximum(self._squares[:n] - (1.0 + MARGIN) * variance, 0.0)
+
+    def _compare_steps(
+        self, T_odometry: Pose, T_aligned: Pose, whiten: Array, innovation: Array
+    ) -> float:
+        """Return the variance of an alignment in terms of what its points tell."""
+        before, self._steps = self._steps, None
+        if self._last is None or len(whiten) == 0:
+            return 1.0
+        moved = se3.inverse(self._last) @ np.stack([T_odometry, T_aligned])
+        self._steps = se3.log(moved)
+        if before is not None:
+            self._n_steps += 1
+            weight = max(FORGETTING_STEADINESS, 1.0 / self._n_steps)
+            changes = np.square((self._steps - before) @ whiten.T).mean(axis=1)
+            difference, unsteadiness = float(np.mean(innovation**2)), float(changes[1] - changes[0])
+            if self._n_steps > N_REFERENCE:
+                most = OUTLIER**2 * self._difference
+                difference = min(difference, most)
+                unsteadiness = float(np.clip(unsteadiness, -2.0 * most, 2.0 * most))
+            self._difference += weight * (difference - self._difference)
+            self._unsteadiness += weight * (unsteadiness - self._unsteadiness)
+        is_steady = (
+            self._n_steps > N_REFERENCE
+            and self._difference < MAX_ALIGNMENT_VARIANCE
+            and self._unsteadiness > MIN_STEADINESS * self._difference
+        )
+        return max(self._difference, 1.0) if is_steady else 1.0
+
+
+def _whitening(information: Array) -> tuple[Array, Array]:
+    """Return what whitens tangents, (n, 6), for n principal directions, and its inverse (6, n).
+
+    The direction that is held best comes first.
+    """
+    values, axes = np.linalg.eigh(information)
+    n_open = int(np.count_nonzero(values <= MIN_INFORMATION * max(values[-1], 0.0)))
+    held, sigmas = axes[:, n_open:][:, ::-1], values[n_open:][::-1] ** -0.5
+    return held.T / sigmas[:, None], held * sigmas
 
 
 def _rigid(T: Pose) -> Pose:

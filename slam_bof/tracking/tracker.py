@@ -10,8 +10,8 @@ turn, behind a covered lens, or because odometry was restarted. If the views mer
 common, odometry is believed. A lost track resumes at a frame that agrees with the last keyframe
 after all; or a new segment begins once two frames in a row agree with each other.
 
-While the track is followed, odometry is weighted against alignment (``odometry_fusion``), because
-from frame to frame it may be the more precise of the two.
+While the track is followed, odometry is weighted against alignment along each direction
+(``odometry_fusion``), because from frame to frame it may be the more precise of the two.
 """
 
 from __future__ import annotations
@@ -34,8 +34,6 @@ MAX_LEAP, LEAP = np.array([0.7, 0.7]), 5.0
 not believed where no view confirms it."""
 FORGETTING = 0.1
 """Weight of each later step in the usual one."""
-OPEN_VARIANCE = 1e4
-"""Variance of alignment along open directions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,8 +75,7 @@ class Tracker:
         self._has_keyframe = False
         self._recent = RecentPoses(np.eye(4), np.eye(4), np.eye(4), np.eye(4))
         self._usual_step = np.zeros(2)  # rad and m, a running mean
-        self._T_odometry = self._T_odometry_keyframe = np.eye(4)
-        self._covariance: Array | None = None
+        self._T_odometry = np.eye(4)
 
     def track(
         self, frame: DepthFrame, T_odom_camera: Pose, covariance: Array | None = None
@@ -91,14 +88,14 @@ class Tracker:
         step = _moved(se3.inverse(self._T_odometry) @ T_odom_camera)
         self._usual_step = self._usual_step + FORGETTING * (step - self._usual_step)
         self._T_odometry = T_odom_camera
-        self._add_covariance(covariance)
         if not self.params.enabled:
+            self._fusion.skip(covariance)
             return Track(
                 T_odom_camera,
                 False,
                 self._segment,
                 float("nan"),
-                step_covariance=self._covariance,
+                step_covariance=None if covariance is None else self._fusion.covariance,
             )
         self._finder.look(frame)
         T_guess = self._fusion.predict(T_odom_camera)
@@ -110,38 +107,40 @@ class Tracker:
         is_lost = found is None
         if is_lost and not self._is_lost and self._has_keyframe:
             self.n_lost += 1
-        T, inlier_ratio, is_followed, open_axes, begins_segment = found or Found(
+        T, inlier_ratio, is_followed, open_axes, information, begins_segment = found or Found(
             T_guess, float("nan"), False
         )
         self._segment += begins_segment
-        step_covariance = None
         if T is None:
-            T, step_covariance = T_guess, self._covariance
-            self._fusion.change_reference()
+            T = T_guess
+            self._fusion.skip(covariance)
         elif is_followed:
-            T = self._fusion.fuse(T_odom_camera, T)
-            if self._covariance is not None:
-                T, step_covariance = self._weigh(T_odom_camera, T, self._covariance, open_axes)
+            T = self._fusion.fuse(T_odom_camera, T, information, covariance)
         T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])
         if not is_followed:
-            self._fusion.restart(T_odom_camera, T)
             # What odometry says of the step up to here does not hold any more.
-            self._T_odometry_keyframe = T_odom_camera @ se3.inverse(T) @ self._recent.T_keyframe
+            self._fusion.restart(T_odom_camera, T)
+            covariance = None
         recent = self._recent
         self._recent = RecentPoses(
             recent.T_keyframe, T, recent.T_last, recent.T_known if is_lost else T
         )
         self._is_lost = is_lost
-        return Track(T, is_lost, self._segment, inlier_ratio, open_axes, step_covariance)
+        return Track(
+            T,
+            is_lost,
+            self._segment,
+            inlier_ratio,
+            open_axes,
+            None if covariance is None else self._fusion.covariance,
+        )
 
     def keep(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
-        self._T_odometry_keyframe = self._T_odometry
-        self._covariance = None if self._covariance is None else np.zeros((6, 6))
+        self._fusion.change_keyframe()
         if self._finder.keep():
             self._has_keyframe = True
             self._recent = replace(self._recent, T_keyframe=self._recent.T_last)
-            self._fusion.change_reference()
 
     def state(self) -> dict[str, Any]:
         """Return what keyframes do not tell, as JSON has it."""
@@ -173,29 +172,6 @@ class Tracker:
         """Return whether the step of odometry is too large, as steps go, to be believed unseen."""
         step = _moved(se3.inverse(self._recent.T_last) @ T_guess)
         return bool((step > np.maximum(MAX_LEAP, LEAP * self._usual_step)).any())
-
-    def _add_covariance(self, covariance: Array | None) -> None:
-        """Add up the covariance of the odometry's steps since the last keyframe."""
-        if covariance is not None:
-            so_far = 0.0 if self._covariance is None else self._covariance
-            self._covariance = so_far + covariance
-
-    def _weigh(
-        self, T_odometry: Pose, T_aligned: Pose, covariance: Array, open_axes: Array
-    ) -> tuple[Pose, Array]:
-        """Weigh the step since the keyframe by odometry, of known covariance, against alignment.
-
-        Returns the pose (4, 4) and the covariance (6, 6) of the step.
-        """
-        sigma = np.repeat([self.params.alignment_sigma_rad, self.params.alignment_sigma_m], 3)
-        step = se3.inverse(self._T_odometry_keyframe) @ T_odometry
-        T_by_odometry = self._recent.T_keyframe @ step
-        of_alignment = np.diag(np.square(sigma)) + OPEN_VARIANCE * open_axes @ open_axes.T
-        gain = covariance @ np.linalg.inv(covariance + of_alignment)
-        difference = se3.log(se3.inverse(T_by_odometry) @ T_aligned)
-        T = T_by_odometry @ se3.exp(gain @ difference)
-        self._fusion.carry(T @ se3.inverse(T_aligned))
-        return T, covariance - gain @ covariance
 
 
 def _moved(step: Pose) -> Array:

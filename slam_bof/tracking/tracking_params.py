@@ -77,17 +77,6 @@ class TrackingParams(Params):
         description="Largest share of points in front of what the other view sees, above its "
         "running mean, at which odometry is believed although the views do not agree.",
     )
-    alignment_sigma_rad: float = Field(
-        0.002,
-        gt=0,
-        description="Standard deviation of the rotation by alignment, in rad, against which a "
-        "covariance of odometry is weighted.",
-    )
-    alignment_sigma_m: float = Field(
-        0.005,
-        gt=0,
-        description="The same for the translation, in m.",
-    )
     min_valid_pixel_ratio: float = Field(
         0.05,
         ge=0,

@@ -139,7 +139,7 @@ def test_what_is_no_covariance_is_refused_and_the_frame_is_ignored(
 def test_the_covariance_of_a_keyframe_adds_up_since_the_one_before(look, standpoint):
     """Translation comes first in the argument, as in nav_msgs/Odometry, and rotation in the map."""
     T_world_first = ahead(standpoint)
-    covariance = np.diag([4e-10, 4e-10, 4e-10, 1e-10, 1e-10, 1e-10])
+    covariance = np.diag([4e-11, 4e-11, 4e-11, 1e-11, 1e-11, 1e-11])
     closer = LoopCloser.from_preset()
     for k in range(12):
         T = se3.exp(np.array([0.0, 0.04 * k, 0.0, 0.0, 0.0, 0.0]))
@@ -148,8 +148,8 @@ def test_the_covariance_of_a_keyframe_adds_up_since_the_one_before(look, standpo
     n_frames = second.frame_index - first.frame_index
     variances = np.diag(second.step_covariance)
     assert step.health == "tracked"
-    assert variances[:3] == pytest.approx(n_frames * 1e-10, rel=0.01)
-    assert variances[3:] == pytest.approx(n_frames * 4e-10, rel=0.01)
+    assert variances[:3] == pytest.approx(n_frames * 1e-11, rel=0.01)
+    assert variances[3:] == pytest.approx(n_frames * 4e-11, rel=0.01)
     saved = closer.history.frames[second.frame_index].step_covariance
     assert saved is second.step_covariance
 

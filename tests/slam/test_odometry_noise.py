@@ -62,8 +62,9 @@ def test_exact_odometry_is_far_more_precise_than_noisy_edges(view):
     rng = np.random.default_rng(0)
     truth = motion(rng)
     found = relative_sigmas(odometry_of(rng, truth), edges_of(rng, truth, view=view))
-    # Noise of views cannot be told from that of poses of odometry, but it does not grow.
-    assert (found < (0.4 if view == (0.0, 0.0) else 2.0)).all()
+    # The camera turns too unsteadily to tell the noise of views from that of odometry's poses.
+    assert found[0] < (0.4 if view == (0.0, 0.0) else 2.0)
+    assert found[1] < 0.4
 
 
 @pytest.mark.parametrize(
