@@ -80,7 +80,8 @@ def assess_registration(
     information = jacobian.T @ jacobian
     facing = normals_query if facing_query is None else facing_query
     cross = np.hstack([np.cross(points_query, facing), facing]).T @ jacobian
-    stiffness = float(np.linalg.eigvalsh(0.5 * (cross + cross.T))[0]) / len(residuals_m)
+    least = np.linalg.eigvalsh(0.5 * (cross + cross.T))[0]
+    stiffness = max(float(least), 0.0) / len(residuals_m)  # noise may be less than nothing
     min_overlap = params.min_overlap if guessed else params.min_overlap_global
     reason = ""
     if overlap < min_overlap:

@@ -91,6 +91,7 @@ def test_a_frame_that_failed_changes_nothing(walk):
     """Tracking and recognition give the same bytes; iSAM2 has started afresh."""
     plain, failing = LoopCloser.from_preset(), LoopCloser.from_preset()
     add_keyframe, n_failed = failing.map.graph.backend.add_keyframe, 0
+    n_scores = 0
     for k, (frame, T) in enumerate([*walk[:6], *walk[20:26]]):
         expected = plain.process(fresh(frame), T)
         failing.map.graph.backend.add_keyframe = lambda *_: 1 / 0
@@ -104,9 +105,10 @@ def test_a_frame_that_failed_changes_nothing(walk):
         poses = [closer.history.frames[-1].T_odom_camera for closer in (plain, failing)]
         np.testing.assert_array_equal(*poses)
         assert scores(found) == scores(expected)
+        n_scores += len(scores(expected))
         np.testing.assert_allclose(found.T_map_odom, expected.T_map_odom, atol=0.02)
     assert n_failed == len(plain.map) >= 4
-    assert scores(expected)
+    assert n_scores
 
 
 def scores(step):
