@@ -23,7 +23,7 @@ import numpy as np
 from inside_kiss_icp import T_LIDAR_CAMERA, SyntheticFlat
 
 from slam_bof import PlaceRecogniser, evaluation
-from slam_bof.core import registry
+from slam_bof.core import import_open3d, registry
 from slam_bof.geometry import CloudCamera, PointParams, points_camera, se3
 from slam_bof.types import Array, Pose, Trajectory
 
@@ -91,6 +91,7 @@ class DepthCloser:
 
 def run(closer: str, every: int, n_scans: int) -> tuple[Trajectory, Trajectory, int]:
     """Return the poses, the truth, and how many loops were closed."""
+    import_open3d()  # with libusb, which Open3D needs and minimal systems lack
     from kiss_slam.config import KissSLAMConfig
     from kiss_slam.slam import KissSLAM
 
