@@ -148,7 +148,11 @@ class FrameFinder:
         if not is_lost and agrees(followed):
             self._learn(followed)
             return Found(
-                followed.T_odom_frame, inlier_ratio, True, followed.open_axes, followed.information
+                followed.T_odom_frame,
+                inlier_ratio,
+                is_followed=True,
+                open_axes=followed.open_axes,
+                information=followed.information,
             )
         from_before = None
         if self._before is not None:
