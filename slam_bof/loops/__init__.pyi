@@ -1,3 +1,10 @@
+from .bag_detector import (
+    BagLoopDetector as BagLoopDetector,
+)
+from .candidate_checks import (
+    Found as Found,
+    LoopCounts as LoopCounts,
+)
 from .covisibility import (
     CovisibilityParams as CovisibilityParams,
     choose_covisible as choose_covisible,
@@ -6,8 +13,8 @@ from .decisions import (
     VerificationParams as VerificationParams,
 )
 from .detector import (
-    LoopCounts as LoopCounts,
     LoopDetector as LoopDetector,
+    make_loop_detector as make_loop_detector,
 )
 from .params import (
     LoopParams as LoopParams,
@@ -15,4 +22,7 @@ from .params import (
 from .verification import (
     LoopVerification as LoopVerification,
     Verified as Verified,
+)
+from .view_detector import (
+    ViewLoopDetector as ViewLoopDetector,
 )

@@ -7,6 +7,7 @@ from .params import (
 )
 from .recogniser import (
     Compare as Compare,
+    PlaceMatch as PlaceMatch,
     PlaceRecogniser as PlaceRecogniser,
 )
 from .saved_constellations import (

@@ -254,7 +254,8 @@ class PlaceRecogniser:
         ids, starts, _ = self._shortlist(view_id, n_views, exclude, followed)
         if len(ids) == 0:
             return []
-        T = self.aligner.align(view_id, ids, starts[:, None])
+        starts = self.aligner.search(view_id, ids, starts[:, None])
+        T = self.aligner.refine(view_id, ids, starts)
         inlier_ratio, free_space_violation, _ = self.aligner.agreement(view_id, ids, T)
         scores = self._score(T, inlier_ratio - free_space_violation)
         matches = [

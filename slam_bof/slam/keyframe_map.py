@@ -19,15 +19,17 @@ from slam_bof.geometry import (
     view_stride,
 )
 from slam_bof.loops import (
+    Found,
     LoopCounts,
-    LoopDetector,
     LoopVerification,
     Verified,
     choose_covisible,
+    make_loop_detector,
 )
-from slam_bof.scenes import SceneFilter, model as models
+from slam_bof.scenes import model as models
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_culling import KeyframeCulling
+from slam_bof.slam.keyframe_describer import KeyframeDescriber
 from slam_bof.slam.map_outline import MapOutline, outline_of
 from slam_bof.slam.map_uncertainty import PoseUncertainty
 from slam_bof.slam.memory_limit import MemoryLimit
@@ -83,10 +85,8 @@ class KeyframeMap:
         self.model_name, self.model_hash = config.model, model.content_hash
         self._config = config
         self._gravity_odom = np.asarray(config.gravity_odom, dtype=np.float64)
-        self._describer = model.describer()
-        self._labeller = model.labeller(config.labels.by)
-        self._scene_filter = SceneFilter(config.labels)
-        self._detector = LoopDetector(
+        self._describer = KeyframeDescriber(model, config.labels, self._gravity_odom)
+        self._detector = make_loop_detector(
             config.loops,
             model.vocabulary.n_words,
             gravity_odom=config.gravity_odom,
@@ -202,7 +202,7 @@ class KeyframeMap:
         self.first_keyframe = len(self)
         self._detector.begin_session(self._gravity_odom)
         self._verification.n_global_registrations = 0
-        self._scene_filter = SceneFilter(self._config.labels)
+        self._describer.begin_session()
 
     def describe(
         self,
@@ -216,21 +216,7 @@ class KeyframeMap:
     ) -> Keyframe:
         """Describe and label a frame as the next keyframe."""
         with self._clock.stage("describe"):
-            gravity_camera = T_odom_camera[:3, :3].T @ self._gravity_odom
-            bag = self._describer.describe(frame, gravity_camera=gravity_camera)
-            scene = smoothed = None
-            if self._labeller is not None:
-                scene = self._labeller.label(frame, gravity_camera=gravity_camera, bag=bag)
-                if not np.isfinite(scene.probabilities).all():
-                    scene = None  # a view without surfaces that can be measured has no label
-            if scene is not None:
-                smoothed = self._scene_filter.update(
-                    scene,
-                    frame.stamp_s,
-                    T_odom_camera[:3, 3],
-                    axis=T_odom_camera[:3, 2],
-                    segment=segment,
-                )
+            bag, scene, smoothed = self._describer.describe(frame, T_odom_camera, segment=segment)
         return Keyframe(
             id=len(self),
             frame_index=frame_index,
@@ -251,7 +237,11 @@ class KeyframeMap:
         is_full = self._memory_limit.is_reached()
         self.keyframes.append(keyframe)
         with self._clock.stage("query"):
-            found = self._detector.find(keyframe, frame, search=not is_full)
+            if is_full:
+                self._detector.remember(keyframe, frame, [])
+                found = Found()
+            else:
+                found = self._detector.find(keyframe, frame)
         self.graph.add_keyframe(keyframe)
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
@@ -296,15 +286,7 @@ class KeyframeMap:
         """Replay a saved keyframe: restore labels, index and graph without searching again."""
         keyframe = record.keyframe
         frame = restore_frame(record.depth, keyframe.stamp_s).with_sensor(self._config.sensor)
-        if keyframe.scene is not None:
-            T_odom_camera = keyframe.T_odom_camera
-            self._scene_filter.update(
-                keyframe.scene,
-                keyframe.stamp_s,
-                T_odom_camera[:3, 3],
-                axis=T_odom_camera[:3, 2],
-                segment=keyframe.segment,
-            )
+        self._describer.replay(keyframe)
         self.keyframes.append(keyframe)
         self._detector.remember(keyframe, frame, record.candidates, record.constellation)
         self.graph.add_keyframe(keyframe)
@@ -374,7 +356,7 @@ class KeyframeMap:
         overlaps = view_overlap(
             points[::stride], T_map_camera[-1], T_map_camera[ids], frame.intrinsics, p.max_range_m
         )
-        min_age_s = self._detector.params.min_age_s
+        min_age_s = self._config.loops.min_age_s
         return [
             Candidate(
                 keyframe.id,

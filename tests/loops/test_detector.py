@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
-from slam_bof.loops import LoopCounts, LoopDetector, LoopParams
-from slam_bof.loops.detector import scene_agreement
+from slam_bof.loops import LoopCounts, LoopParams, make_loop_detector
+from slam_bof.loops.candidate_checks import scene_agreement
 from slam_bof.types import Bag, DepthFrame, Intrinsics, Keyframe, Scene
 
 N_WORDS = 8
@@ -49,7 +49,7 @@ PAPER = LoopParams(
 
 
 def find_all(params, frames):
-    detector = LoopDetector(params, N_WORDS)
+    detector = make_loop_detector(params, N_WORDS)
     return [detector.find(keyframe, UNSEEN).candidates for keyframe in frames]
 
 
@@ -108,14 +108,14 @@ def test_the_upper_threshold_does_not_spare_time_consistency():
     ],
 )
 def test_keyframes_are_counted_as_in_table_10(changes, expected):
-    detector = LoopDetector(changed(**changes), N_WORDS)
+    detector = make_loop_detector(changed(**changes), N_WORDS)
     for keyframe in keyframes(TOUR):
         detector.find(keyframe, UNSEEN)
     assert detector.counts == expected
 
 
 def test_what_nothing_is_like_is_discarded():
-    detector = LoopDetector(PAPER, N_WORDS)
+    detector = make_loop_detector(PAPER, N_WORDS)
     for keyframe in keyframes([bag(i) for i in range(5)]):
         detector.find(keyframe, UNSEEN)
     assert detector.counts == LoopCounts(discarded=2)
@@ -123,7 +123,9 @@ def test_what_nothing_is_like_is_discarded():
 
 def test_a_keyframe_with_two_candidates_counts_once():
     frames = keyframes([bag(0), bag(0, 1), bag(2), bag(2), bag(0), bag(5), bag(6), bag(0)])
-    detector = LoopDetector(changed(top_k=3, max_index_difference=1, min_normaliser=0.0), N_WORDS)
+    detector = make_loop_detector(
+        changed(top_k=3, max_index_difference=1, min_normaliser=0.0), N_WORDS
+    )
     for keyframe in frames:
         found = detector.find(keyframe, UNSEEN)
     assert len(found.candidates) == 2
@@ -155,7 +157,9 @@ def test_contradicting_labels_reject_and_agreeing_ones_do_not():
 
 def test_top_k_candidates_are_apart_and_ordered():
     frames = keyframes([bag(0), bag(0, 1), bag(2), bag(2), bag(0), bag(5), bag(6), bag(0)])
-    detector = LoopDetector(changed(top_k=3, max_index_difference=1, min_normaliser=0.0), N_WORDS)
+    detector = make_loop_detector(
+        changed(top_k=3, max_index_difference=1, min_normaliser=0.0), N_WORDS
+    )
     *_, candidates = [detector.find(keyframe, UNSEEN).candidates for keyframe in frames]
     assert [c.match_id for c in candidates] == [0, 4]  # 1 stands beside 0; 2 and 3 score zero
     assert candidates[0].eta == np.inf  # nothing in common with one second ago
@@ -181,7 +185,7 @@ def rounds(look, standpoint):
 
 
 def find_views(params, rounds):
-    detector = LoopDetector(params, N_WORDS)
+    detector = make_loop_detector(params, N_WORDS)
     T_odom_world = se3.inverse(rounds[0][1])
     return [
         detector.find(Keyframe(i, i, float(i), T_odom_world @ T, bag(), None), frame)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3
-from slam_bof.loops import LoopDetector
+from slam_bof.loops import ViewLoopDetector
 from slam_bof.slam import LoopCloser, preset
 from slam_bof.slam.config import override
 from slam_bof.slam.keyframe_culling import KeyframeCulling, MapParams
@@ -144,14 +144,14 @@ def test_culling_happens_whole_or_not_at_all(tour, culled, monkeypatch):
     n_frames = next(k for k, record in enumerate(records) if record.culled) + 3
     again = []
     closer = LoopCloser.from_config(CONFIG, journal=again.append)
-    remove = LoopDetector.remove
+    remove = ViewLoopDetector.remove
 
     def fail(detector, keyframe_ids):
         monkeypatch.undo()
         remove(detector, keyframe_ids)
         raise MemoryError
 
-    monkeypatch.setattr(LoopDetector, "remove", fail)
+    monkeypatch.setattr(ViewLoopDetector, "remove", fail)
     n_failed = 0
     for frame, T in zip(tour[0][:n_frames], tour[1], strict=False):
         try:
