@@ -24,6 +24,7 @@ from slam_bof.scenes import (
 )
 from slam_bof.scenes.contour_tokens import N_TOKEN_VALUES
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES
+from slam_bof.scenes.model_file import ModelContent
 from slam_bof.scenes.set_transformer import SetTransformer, TransformerShape
 from slam_bof.scenes.stored_classifier import read_entries, zip_entries
 
@@ -97,7 +98,7 @@ def forge_model(place: Path, case: Path, rng: random.Random) -> None:
         entries[name] = mutate_array(entries[name], rng)
     if isinstance(manifest, dict):
         content = {k: v for k, v in manifest.items() if k not in ("content_sha256", "made_with")}
-        manifest["content_sha256"] = models._hash(content, entries)
+        manifest["content_sha256"] = ModelContent(content, entries).sha256
     entries = {"manifest.json": json.dumps(manifest).encode(), **entries}
     (case / "m.bof").write_bytes(zip_entries(entries, zipfile.ZIP_DEFLATED))
 

@@ -1,34 +1,22 @@
-"""The trained model in one file: parameters, words, idf and scene classifiers.
+"""A trained model: vocabulary, idf and scene classifiers, and the models that come with slam_bof.
 
-The file is a zip: ``manifest.json`` (format version, parameters, what it was trained on, and
-the SHA-256 of all the content), ``words.npy``, ``idf.npy``, ``scenes.skops`` for a classifier of
-bags, ``levels/*.npy`` for a levelled classifier, and ``constellation/*.npy`` for one of
-constellations. Nothing is pickled, and loading creates
-objects of the types named here only. The same training writes the same bytes.
+In a model file (``model_file``) are ``words.npy``, ``idf.npy``, ``scenes.skops`` for a classifier
+of bags, ``levels/*.npy`` for a levelled classifier, and ``constellation/*.npy`` for one of
+constellations. Loading creates objects of the types named here only.
 """
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
-import lzma
-import os
-import zipfile
-import zlib
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata, resources
+from importlib import resources
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from slam_bof.bof import PlaceDescriber, PlaceParams, TfIdf, Vocabulary
-from slam_bof.core import parse_npy, read_bytes
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.constellation_classifier import ConstellationClassifier
@@ -36,12 +24,18 @@ from slam_bof.scenes.height_profile import compile_profile
 from slam_bof.scenes.hmm_filter import LabelledBy
 from slam_bof.scenes.labeller import BagLabeller, Labeller
 from slam_bof.scenes.levelled_classifier import LevelledClassifier
-from slam_bof.scenes.stored_classifier import (
-    classifier_bytes,
-    load_classifier,
-    read_entries,
-    zip_entries,
+from slam_bof.scenes.model_file import (
+    FORMAT_VERSION,
+    ModelContent,
+    array_bytes,
+    parse_array,
+    parse_arrays,
+    parse_content,
+    read_content,
+    stated_hash,
+    write_content,
 )
+from slam_bof.scenes.stored_classifier import Entries, classifier_bytes, load_classifier
 
 __all__ = [
     "FORMAT_VERSION",
@@ -52,22 +46,6 @@ __all__ = [
     "resolve",
     "save",
 ]
-
-FORMAT = "slam_bof model"
-FORMAT_VERSION = 1
-UNREADABLE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    lzma.LZMAError,
-    EOFError,
-    LookupError,
-    TypeError,
-    ValueError,
-    RuntimeError,  # a password, an unknown compression, endless nesting
-    OverflowError,
-    OSError,  # a damaged bzip2 stream
-)
-"""What the libraries raise for files that are no models."""
 
 DEFAULT = "default"
 INCLUDED = (DEFAULT, "synthetic")
@@ -83,10 +61,6 @@ SUPERSEDED = {
 same words, idf and classes."""
 LEVELLED, CONSTELLATION = "levels", "constellation"
 """Keys of classifiers in the manifest, and folders of their arrays."""
-MAX_WEIGHT = 1e6
-"""Largest number in an array: sums of products must stay within 32 bits."""
-
-Entries = dict[str, bytes]
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,23 +117,12 @@ class Model:
     @cached_property
     def content_hash(self) -> str:
         """SHA-256 of the content, hexadecimal, as in the file's manifest."""
-        return _hash(_content_manifest(self), _entries(self))
+        return _content(self).sha256
 
 
 def save(model: Model, path: str | Path) -> None:
     """Write a model file; an older file of that name stays until the new one is complete."""
-    path = Path(path)
-    entries = _entries(model)
-    content = _content_manifest(model)
-    manifest = {
-        **content,
-        "content_sha256": _hash(content, entries),
-        "made_with": {name: metadata.version(name) for name in ("slam-bof", "scikit-learn")},
-    }
-    entries = {"manifest.json": json.dumps(manifest, indent=2).encode(), **entries}
-    unfinished = path.with_name(path.name + ".part")
-    unfinished.write_bytes(zip_entries(entries, zipfile.ZIP_DEFLATED))
-    os.replace(unfinished, path)
+    write_content(_content(model), Path(path))
 
 
 def resolve(name: str | Path | None = None) -> Model:
@@ -176,7 +139,7 @@ def resolve(name: str | Path | None = None) -> Model:
     file = _included_file(str(name))
     if not file.is_file():
         raise ModelError(f"{file}: no such model file; scripts/train_default_model makes it")
-    return _parse(file.read_bytes(), str(file))
+    return _build(parse_content(file.read_bytes(), str(file)), str(file))
 
 
 def name_by_hash(name: str, content_hash: str | None) -> str:
@@ -191,7 +154,7 @@ def name_by_hash(name: str, content_hash: str | None) -> str:
             return SUPERSEDED[content_hash]
         for included in INCLUDED:
             file = _included_file(included)
-            if file.is_file() and _stored_hash(file) == content_hash:
+            if file.is_file() and stated_hash(file) == content_hash:
                 return included
     return name
 
@@ -205,13 +168,6 @@ def _included_file(name: str) -> Traversable:
     return resources.files("slam_bof") / "data" / f"{name}.bof"
 
 
-def _stored_hash(file: Traversable) -> str | None:
-    """Return the content hash that a model file's manifest states."""
-    with file.open("rb") as data, zipfile.ZipFile(data) as archive:
-        found = json.loads(archive.read("manifest.json")).get("content_sha256")
-    return None if found is None else str(found)
-
-
 def load(path: str | Path) -> Model:
     """Read a model file.
 
@@ -221,49 +177,25 @@ def load(path: str | Path) -> Model:
         If the file is missing, is no model, has another format version, or is damaged.
     """
     path = Path(path)
-    try:
-        data = read_bytes(path)
-    except FileNotFoundError:
-        raise ModelError(f"{path}: no such model file") from None
-    except OSError as error:
-        raise ModelError(f"{path}: model file cannot be read: {error.strerror}") from None
-    return _parse(data, str(path))
+    return _build(read_content(path), str(path))
 
 
-def _parse(data: bytes, name: str) -> Model:
+def _build(content: ModelContent, name: str) -> Model:
+    """Return the model that the content of a file is; messages call the file ``name``."""
     try:
-        entries = read_entries(data)
-        manifest = json.loads(entries.pop("manifest.json"))
-        found = manifest["format"], manifest["format_version"], manifest["content_sha256"]
-    except UNREADABLE:
-        raise ModelError(
-            f"{name}: not a model file; expected a zip with a slam_bof manifest.json"
-        ) from None
-    if found[:2] != (FORMAT, FORMAT_VERSION):
-        raise ModelError(
-            f"{name}: found {repr(found[0])[:80]} format version {repr(found[1])[:80]}, "
-            f"expected {FORMAT!r} version {FORMAT_VERSION}"
-        )
-    content = {k: v for k, v in manifest.items() if k not in ("content_sha256", "made_with")}
-    content_hash = _hash(content, entries)
-    if content_hash != found[2]:
-        raise ModelError(
-            f"{name}: damaged: found content hash {content_hash[:12]}, expected "
-            f"{str(found[2])[:12]} as its manifest says"
-        )
-    try:
-        model = _build(manifest, entries)
+        model = _parse(content.manifest, content.entries)
     except (LookupError, TypeError, ValidationError, ValueError) as error:
         reason = (str(error).splitlines() or ["nothing"])[0][:300]
         raise ModelError(f"{name}: model content is not as expected: {reason}") from error
-    # Fill the cached property: the hash was just computed.
-    vars(model)["content_hash"] = content_hash
+    # Fill the cached property: the hash of the file, which an older version may have written.
+    vars(model)["content_hash"] = content.sha256
     return model
 
 
-def _build(manifest: dict[str, Any], entries: Entries) -> Model:
+def _parse(manifest: dict[str, Any], entries: Entries) -> Model:
+    """Return the model of a manifest and entries; ``ValueError`` or the like if it is none."""
     places = PlaceParams.model_validate(manifest["places"])
-    words, idf = _array(entries, "words.npy"), _array(entries, "idf.npy")
+    words, idf = parse_array(entries, "words.npy"), parse_array(entries, "idf.npy")
     if words.shape != (len(idf), places.bof.n_values):
         raise ValueError(
             f"words must be ({len(idf)}, {places.bof.n_values}) as idf and n_values, "
@@ -284,13 +216,13 @@ def _build(manifest: dict[str, Any], entries: Entries) -> Model:
         ),
         trained_on=manifest["trained_on"],
         levelled_classifier=(
-            LevelledClassifier.from_arrays(manifest[LEVELLED], _arrays(entries, LEVELLED))
+            LevelledClassifier.from_arrays(manifest[LEVELLED], parse_arrays(entries, LEVELLED))
             if manifest.get(LEVELLED)
             else None
         ),
         constellation_classifier=(
             ConstellationClassifier.from_arrays(
-                manifest[CONSTELLATION], _arrays(entries, CONSTELLATION)
+                manifest[CONSTELLATION], parse_arrays(entries, CONSTELLATION)
             )
             if manifest.get(CONSTELLATION)
             else None
@@ -298,72 +230,32 @@ def _build(manifest: dict[str, Any], entries: Entries) -> Model:
     )
 
 
-def _content_manifest(model: Model) -> dict[str, Any]:
-    """Return the part of the manifest that the content hash covers."""
+def _content(model: Model) -> ModelContent:
+    """Return what is stored of a model."""
     vocabulary = model.vocabulary.get_params()
     del vocabulary["n_words"]  # known from the words
     bag_classifier = model.bag_classifier
-    content = {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+    manifest = {
         "trained_on": model.trained_on,
         "places": model.places.model_dump(mode="json"),
         "vocabulary": vocabulary,
         "classes": [str(label) for label in bag_classifier.classes_] if bag_classifier else [],
     }
-    # Without a classifier its key is absent, as in files older than it.
-    return content | {key: found.manifest() for key, found in _classifiers(model).items()}
-
-
-def _entries(model: Model) -> Entries:
     entries = {
-        "words.npy": _array_bytes(model.vocabulary.words_),
-        "idf.npy": _array_bytes(model.tf_idf.idf_),
+        "words.npy": array_bytes(model.vocabulary.words_),
+        "idf.npy": array_bytes(model.tf_idf.idf_),
     }
-    if model.bag_classifier is not None:
-        entries["scenes.skops"] = classifier_bytes(model.bag_classifier)
+    if bag_classifier is not None:
+        entries["scenes.skops"] = classifier_bytes(bag_classifier)
+    # Without a classifier its key is absent, as in files older than it.
     for key, classifier in _classifiers(model).items():
+        manifest[key] = classifier.manifest()
         for name, array in classifier.arrays().items():
-            entries[f"{key}/{name}.npy"] = _array_bytes(array)
-    return entries
+            entries[f"{key}/{name}.npy"] = array_bytes(array)
+    return ModelContent.of(manifest, entries)
 
 
 def _classifiers(model: Model) -> dict[str, LevelledClassifier | ConstellationClassifier]:
     """Return the classifiers of arrays that a model has, by their keys."""
     found = {LEVELLED: model.levelled_classifier, CONSTELLATION: model.constellation_classifier}
     return {key: classifier for key, classifier in found.items() if classifier is not None}
-
-
-def _arrays(entries: Entries, key: str) -> dict[str, NDArray[Any]]:
-    return {
-        name.removeprefix(f"{key}/").removesuffix(".npy"): _array(entries, name)
-        for name in entries
-        if name.startswith(f"{key}/")
-    }
-
-
-def _array(entries: Entries, name: str) -> NDArray[Any]:
-    """Return the array of an entry; ``ValueError`` unless it has finite numbers, and some."""
-    try:
-        array = parse_npy(entries[name])
-        if array.dtype.kind != "f" or not array.size or not np.isfinite(array).all():
-            raise ValueError(f"found {array.dtype} {array.shape}, expected finite numbers")
-        if (largest := float(np.abs(array).max())) > MAX_WEIGHT:
-            raise ValueError(f"found numbers up to {largest:g}, expected {MAX_WEIGHT:g} at most")
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
-    return array
-
-
-def _hash(content: dict[str, Any], entries: Entries) -> str:
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode())
-    for name in sorted(entries):
-        digest.update(f"\n{name} {len(entries[name])}\n".encode())
-        digest.update(entries[name])
-    return digest.hexdigest()
-
-
-def _array_bytes(array: NDArray[Any]) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array, allow_pickle=False)
-    return buffer.getvalue()

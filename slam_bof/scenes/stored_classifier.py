@@ -29,7 +29,7 @@ from slam_bof.core import parse_npy
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.types import Bag
 
-__all__ = ["classifier_bytes", "load_classifier", "read_entries", "zip_entries"]
+__all__ = ["Entries", "classifier_bytes", "load_classifier", "read_entries", "zip_entries"]
 
 NODES = {
     "DictNode": {"builtins.dict"},
@@ -62,6 +62,7 @@ MAX_BYTES = 1 << 28
 """Largest unpacked size of a model; those that come with slam_bof have 2 MB."""
 
 Entries = dict[str, bytes]
+"""The files in a zip, by name."""
 
 
 def read_entries(data: bytes) -> Entries:

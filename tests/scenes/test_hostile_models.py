@@ -18,6 +18,7 @@ from test_model import train
 
 from slam_bof.errors import ModelError
 from slam_bof.scenes import SceneClassifier, classifier_bytes, model as models
+from slam_bof.scenes.model_file import ModelContent
 from slam_bof.scenes.stored_classifier import read_entries, zip_entries
 
 Entries = dict[str, bytes]
@@ -41,7 +42,7 @@ def save(entries: Entries, path: Path) -> Path:
     entries = dict(entries)
     manifest = json.loads(entries.pop("manifest.json"))
     content = {k: v for k, v in manifest.items() if k not in ("content_sha256", "made_with")}
-    manifest["content_sha256"] = models._hash(content, entries)
+    manifest["content_sha256"] = ModelContent(content, entries).sha256
     entries["manifest.json"] = json.dumps(manifest).encode()
     path.write_bytes(zip_entries(entries, zipfile.ZIP_DEFLATED))
     return path
