@@ -30,7 +30,7 @@ from .constellation_index import (
     IndexParams as IndexParams,
 )
 from .constellation_matching import (
-    PoseHypothesis as PoseHypothesis,
+    ConstellationMatch as ConstellationMatch,
     camera_motions as camera_motions,
     match_constellations as match_constellations,
 )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
-from slam_bof.bof.levelled_slices import SliceParams, find_slice_contours
+from slam_bof.bof.levelled_slices import DEFAULT_SLICES, SliceParams, find_slice_contours
 from slam_bof.bof.polygons import Polygons
 from slam_bof.geometry import level_frame, view_points
 from slam_bof.types import Array, DepthFrame, Params
@@ -31,9 +31,9 @@ __all__ = [
 ]
 
 N_POINTS = 180
-"""Radii of a BOF, as in the paper."""
+"""Number of radii of a BOF, as in the paper."""
 N_HARMONICS = 12
-"""Of their spectrum, the mean and the harmonics below this are kept."""
+"""Number of terms of their spectrum that are kept: the mean and the lowest harmonics."""
 
 
 class ConstellationParams(Params):
@@ -100,11 +100,12 @@ class Constellation:
     """A view's BOFs, longest contour first, and how its camera is levelled.
 
     ``R_level_camera`` (3, 3) takes camera coordinates to the levelled frame: x right, y down
-    (gravity), z ahead.
+    (gravity), z ahead. ``slice_step_m`` is the height from one slice to the next.
     """
 
     bofs: PlacedBofs
     R_level_camera: Array
+    slice_step_m: float = DEFAULT_SLICES.step_m
 
     def __len__(self) -> int:
         """Return the number of contours."""
@@ -119,18 +120,19 @@ def describe_constellation(
     Parameters
     ----------
     frame
-        Of its depth, the pixels are used that a map keeps (``geometry.view_points``).
+        The frame, of which the pixels that a map keeps are used (``geometry.view_points``).
     gravity_camera
         (3,), the direction down in the camera frame.
 
     Returns
     -------
     Constellation
-        Of a frame without depth it is empty.
+        The constellation, empty if the frame has no depth.
     """
+    p = params or ConstellationParams()
     R = level_frame(np.asarray(gravity_camera, np.float64))
     points_level = view_points(frame) @ R.T.astype(np.float32)
-    return Constellation(place_bofs(points_level, params or ConstellationParams()), R)
+    return Constellation(place_bofs(points_level, p), R, p.slices.step_m)
 
 
 def place_bofs(points_level: NDArray[np.float32], params: ConstellationParams) -> PlacedBofs:

@@ -1,8 +1,8 @@
 """The motions that most BOF correspondences of a query with each of many views agree on.
 
 A random sample of RANSAC (Fischler and Bolles 1981) needs one correspondence only, for that is a
-whole motion; so all are tried, the one that most others agree with wins, and the motion is fitted
-to those that do. Further motions come of the correspondences that are left.
+whole motion; so all are tried, the one with which most others agree wins, and the motion is fitted
+to those. Further motions are found in the same way among the correspondences that are left.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ from slam_bof.core import compiled
 __all__ = ["Consensus", "Motions", "find_motions"]
 
 MAX_TRIED = 24
-"""Correspondences of a view, the first, whose motions are tried."""
+"""Number of correspondences of a view, the first ones, whose motions are tried."""
 MIN_AGREEMENT = np.float32(0.1)
-"""By the kernel, of an inlier."""
+"""Smallest agreement, by the kernel, of a correspondence that counts as an inlier."""
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 PER_REACH2 = np.float32(1 / 64)
 """Motions farther apart than 8 widths of the kernel do not agree at all."""
 
 
 class Motions(NamedTuple):
-    """Of the query's levelled frame in those of V views: ``x + i z`` and height in metres."""
+    """Poses of the query's levelled frame in those of V views.
+
+    ``yaw`` (V,) is in rad; ``shift`` (V,), as ``x + i z``, and ``height`` (V,) are in m.
+    """
 
     yaw: NDArray[np.float64]
     shift: NDArray[np.complex128]
@@ -59,7 +62,7 @@ def find_motions(
     params: MatchingParams,
     n_motions: int = 1,
 ) -> Consensus:
-    """Find the ``n_motions`` densest motions of each view, and fit them to what agrees.
+    """Find the ``n_motions`` densest motions of each view, and fit each to the pairs that agree.
 
     Parameters
     ----------

@@ -21,8 +21,7 @@ from slam_bof.types import Params
 __all__ = ["Correspondences", "MatchingParams", "find_correspondences", "weights"]
 
 YAW_STEP_DEG = 8
-"""Of yaws tried; what lies between is interpolated."""
-SLICE_STEP_M = 0.1
+"""Step between the yaws that are tried; the best is interpolated between them."""
 
 
 class MatchingParams(Params):
@@ -109,9 +108,12 @@ class Correspondences(NamedTuple):
 
 
 def find_correspondences(
-    query: PlacedBofs, others: PlacedBofs, params: MatchingParams
+    query: PlacedBofs, others: PlacedBofs, params: MatchingParams, slice_step_m: float
 ) -> Correspondences:
-    """Return the pairs of contours that correspond, in order of the query's."""
+    """Return the pairs of contours that correspond, in order of the query's.
+
+    ``slice_step_m`` is the height from one slice to the next, by which both were described.
+    """
     a, b = _candidates(query, others, params)
     yaws = _yaws(params.max_yaw_deg)
     turned = _turn(query.codes, yaws)
@@ -126,7 +128,7 @@ def find_correspondences(
     turn = np.cos(yaw) + 1j * np.sin(yaw)
     shift = match_m - turn * query_m
     slices_up = others.slices.take(b) - query.slices.take(a).astype(np.int16)
-    height = slices_up * np.float32(SLICE_STEP_M)
+    height = slices_up * np.float32(slice_step_m)
     weight = np.sqrt(weights(query).take(a) * weights(others).take(b))
     weight *= (highest - np.float32(params.min_similarity)) / np.float32(1 - params.min_similarity)
     pairs = Correspondences(a, b, query_m, match_m, yaw, turn, shift, height, weight)

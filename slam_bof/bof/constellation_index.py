@@ -29,17 +29,15 @@ from slam_bof.bof.constellation_packing import (
     unpack_constellation,
 )
 from slam_bof.bof.indexed_view import IndexedView, index_view
+from slam_bof.bof.levelled_slices import DEFAULT_SLICES
 from slam_bof.bof.motion_votes import MAX_VIEWS, MotionVotes, count_votes, phases
 from slam_bof.bof.posting_lists import PostingLists, Postings, join_postings
 from slam_bof.bof.shape_cells import contour_keys, key_ranges
 from slam_bof.core import GrowingArray
 from slam_bof.types import Params
 
-__all__ = ["ConstellationIndex", "Found", "IndexParams"]
+__all__ = ["ConstellationIndex", "IndexParams", "RankedViews"]
 
-SLICES_APART = (-2, -1, 0, 1, 2)
-"""Slices that are looked in: as many as contours that match may be apart."""
-OWN_SLICE = (0,)
 NO_NUMBERS = np.empty(0, np.int32)
 NO_POSTINGS = Postings(NO_NUMBERS, NO_NUMBERS, NO_NUMBERS, np.empty((0, 2), np.uint8))
 
@@ -68,11 +66,11 @@ class IndexParams(Params):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Found:
+class RankedViews:
     """Views that agree with a query, best first.
 
     Ids, scores and motions (n,) are of all that were compared. ``others`` are further motions of
-    the same views: each is the one that most correspondences agree on which agree with none before.
+    the same views, each the one on which most of the remaining correspondences agree.
     """
 
     view_ids: NDArray[np.intp]
@@ -80,13 +78,20 @@ class Found:
     motions: Motions
     others: tuple[Motions, ...] = ()
 
-    def first(self, n: int) -> Found:
+    def first(self, n: int) -> RankedViews:
         """Return the best ``n``, with one motion each."""
-        return Found(self.view_ids[:n], self.scores[:n], self.motions.take(slice(n)))
+        return RankedViews(self.view_ids[:n], self.scores[:n], self.motions.take(slice(n)))
 
 
 class ConstellationIndex:
     """Holds constellations, packed, and finds those that agree with another.
+
+    Parameters
+    ----------
+    params
+        How many views are compared, and how.
+    slice_step_m
+        Height from one slice to the next, by which all views and queries are described.
 
     Examples
     --------
@@ -96,8 +101,11 @@ class ConstellationIndex:
     >>> index.find(query.bofs, 20).view_ids  # doctest: +SKIP
     """
 
-    def __init__(self, params: IndexParams | None = None) -> None:
+    def __init__(
+        self, params: IndexParams | None = None, *, slice_step_m: float = DEFAULT_SLICES.step_m
+    ) -> None:
         self.params = params or IndexParams()
+        self._slice_step_m = slice_step_m
         self._rows = GrowingArray((), PACKED)
         self._starts = GrowingArray((), np.int64)
         self._starts.append(0)
@@ -215,7 +223,9 @@ class ConstellationIndex:
             self._rows.rows[self._starts.rows[view_id] : self._starts.rows[view_id + 1]]
         )
 
-    def find(self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None) -> Found:
+    def find(
+        self, query: PlacedBofs, n: int, *, allowed: NDArray[np.bool_] | None = None
+    ) -> RankedViews:
         """Return the up to ``n`` views that agree best with a query.
 
         ``allowed`` (V,) leaves some out.
@@ -235,7 +245,8 @@ class ConstellationIndex:
         """Return the same, and what the votes (m,) for each are worth."""
         voters = MotionVotes(query)
         is_small = len(self) <= self.params.max_views_beside
-        contours, low, high = key_ranges(query, SLICES_APART if is_small else OWN_SLICE)
+        apart = self.params.matching.max_slices if is_small else 0
+        contours, low, high = key_ranges(query, range(-apart, apart + 1))
         lists = self._postings.lists()
         begins = [np.searchsorted(postings.keys, low) for postings in lists]
         counts = [
@@ -261,14 +272,17 @@ class ConstellationIndex:
         asked[order[np.cumsum(of_contours[order]) <= self.params.max_votes]] = True
         return np.asarray(asked[contours])
 
-    def compare(self, query: PlacedBofs, views: NDArray[np.intp], n_motions: int = 1) -> Found:
+    def compare(
+        self, query: PlacedBofs, views: NDArray[np.intp], n_motions: int = 1
+    ) -> RankedViews:
         """Rank views (n,) by consensus of all their contours, with ``n_motions`` of each."""
         p = self.params.matching
         starts, stops = self._starts.rows[views], self._starts.rows[views + 1]
         counts = stops - starts
         which = np.repeat(np.arange(len(views)), counts)
         rows = np.arange(len(which)) + np.repeat(starts - (np.cumsum(counts) - counts), counts)
-        pairs = find_correspondences(query, unpack_constellation(self._rows.rows.take(rows)), p)
+        bofs = unpack_constellation(self._rows.rows.take(rows))
+        pairs = find_correspondences(query, bofs, p, self._slice_step_m)
         found = find_motions(pairs, which[pairs.match], len(views), p, n_motions)
         total = np.sqrt(weights(query).sum() * self._totals.rows[views])
         scores = found.worth[0] / np.maximum(total, np.float32(1e-6))
@@ -277,4 +291,4 @@ class ConstellationIndex:
         motions, *others = (
             Motions(*(column[motion, best] for column in columns)) for motion in range(n_motions)
         )
-        return Found(views[best], scores[best], motions, tuple(others))
+        return RankedViews(views[best], scores[best], motions, tuple(others))

@@ -17,11 +17,11 @@ from slam_bof.bof.constellation_correspondences import (
 )
 from slam_bof.types import Array, Pose
 
-__all__ = ["PoseHypothesis", "camera_motions", "match_constellations"]
+__all__ = ["ConstellationMatch", "camera_motions", "match_constellations"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseHypothesis:
+class ConstellationMatch:
     """A motion that contours of two views agree on.
 
     Parameters
@@ -29,7 +29,7 @@ class PoseHypothesis:
     score
         How much of both views agrees, in [0, 1].
     T_match_query
-        (4, 4), between the cameras.
+        (4, 4) pose of the query's camera in the match's.
     inliers
         (M, 2) contours of query and match that agree.
     """
@@ -41,17 +41,17 @@ class PoseHypothesis:
 
 def match_constellations(
     query: Constellation, other: Constellation, params: MatchingParams | None = None
-) -> list[PoseHypothesis]:
+) -> list[ConstellationMatch]:
     """Return the motions that may lie between two views, best first.
 
-    None where no contours correspond; several where the scene repeats itself.
+    There are none where no contours correspond, and several where the scene repeats itself.
     """
     p = params or MatchingParams()
-    pairs = find_correspondences(query.bofs, other.bofs, p)
+    pairs = find_correspondences(query.bofs, other.bofs, p, query.slice_step_m)
     views = np.zeros(len(pairs.query), np.intp)
     found = find_motions(pairs, views, 1, p, p.max_hypotheses)
     total = np.sqrt(weights(query.bofs).sum() * weights(other.bofs).sum())
-    hypotheses: list[PoseHypothesis] = []
+    matches: list[ConstellationMatch] = []
     for motion, worth in enumerate(found.worth[:, 0]):
         if worth == 0.0 or worth < p.min_score_ratio * found.worth[0, 0]:
             break
@@ -61,8 +61,8 @@ def match_constellations(
         T = camera_motions(motions, query.R_level_camera, R_match)[0]
         agrees = found.motion_of_pair == motion
         inliers = np.stack([pairs.query[agrees], pairs.match[agrees]], axis=1)
-        hypotheses.append(PoseHypothesis(float(worth / total), T, inliers))
-    return hypotheses
+        matches.append(ConstellationMatch(float(worth / total), T, inliers))
+    return matches
 
 
 def camera_motions(motions: Motions, R_level_query: Array, R_level_match: Array) -> Array:

@@ -1,7 +1,7 @@
 """Constellations in few bytes: 32 for each contour, to keep in an index, with a map or on disk.
 
-Of a BOF's spectrum, whose low harmonics tell nearly all, each part is rounded to 8 bits, as
-``compression`` does; places are told to 8 mm, sizes to 1.5 % and lengths to 3 %.
+The low harmonics of a BOF's spectrum, which tell nearly all, are rounded to 8 bits each, as
+``compression`` does. Places are rounded to 8 mm, sizes to 2 % and lengths to 3 %.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ PACKED = np.dtype(
         ("log_length", np.uint8),
     ]
 )
-"""How a contour is kept."""
+"""A contour as it is kept."""
 
 STEPS_PER_M = 128
-"""Of places."""
+"""Number of steps of a place in a metre."""
 _CODE_SCALE = np.full(2 * N_HARMONICS, 127 / 0.5, np.float32)
 _CODE_SCALE[0] = 127.0  # the mean, which is nearly all of a code's length
 _LOG_RADIUS = (np.log(np.float32(0.05)), np.float32(0.02))
 _LOG_LENGTH = (np.log(np.float32(0.05)), np.float32(0.03))
-"""The lowest and the step."""
+"""The lowest logarithm that is kept of a size and of a length in m, and the step between two."""
 
 
 def pack_constellation(bofs: PlacedBofs) -> NDArray[np.void]:

@@ -1,7 +1,7 @@
 """What an index holds of one view: its packed contours, and the cells to look each up in.
 
-It is all that is ever asked of an older view, so a map keeps it as well and need not describe its
-views again.
+No more is ever needed of an older view, so a map keeps it as well and need not describe its views
+again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from slam_bof.types import SensorParams
 __all__ = ["CONTOUR_BYTES", "IndexedView", "describer_id", "index_view"]
 
 DESCRIBER_VERSION = 1
-"""To be raised with each change of what contours come of a depth image."""
+"""Version of the description, which rises with each change of the contours of a depth image."""
 CONTOUR = np.dtype([("row", PACKED), ("key", "<i4"), ("phases", np.uint8, 2)])
 CONTOUR_BYTES = CONTOUR.itemsize
 

@@ -17,7 +17,7 @@ from slam_bof.bof.bit_images import close, dilate, is_set, n_words, outer_contou
 from slam_bof.core import compiled
 from slam_bof.types import Params
 
-__all__ = ["SliceContours", "SliceParams", "draw_slices", "find_slice_contours"]
+__all__ = ["DEFAULT_SLICES", "SliceContours", "SliceParams", "draw_slices", "find_slice_contours"]
 
 
 class SliceParams(Params):
@@ -77,6 +77,9 @@ class SliceParams(Params):
         return self.closing_px // 2 + self.dilation_px // 2 + 1
 
 
+DEFAULT_SLICES = SliceParams()
+
+
 class SliceContours(NamedTuple):
     """Closed contours in plan, one after the other.
 
@@ -91,7 +94,7 @@ class SliceContours(NamedTuple):
 
 
 def find_slice_contours(points_level: NDArray[np.float32], params: SliceParams) -> SliceContours:
-    """Return the outer contours of all slices, after closing and dilation, any size.
+    """Return the outer contours, of any size, of all slices after closing and dilation.
 
     Parameters
     ----------

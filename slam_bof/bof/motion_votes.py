@@ -1,7 +1,7 @@
 """Votes of single contours for motions of views, many at once, in coarse cells.
 
-The yaw is told by one harmonic alone, which serves to find candidates: the phase of an elongated
-contour's second, or of a triangular one's third.
+One harmonic alone tells the yaw, which is precise enough to find candidates: the second of an
+elongated contour, the third of a triangular one, by its phase.
 """
 
 from __future__ import annotations
@@ -17,35 +17,38 @@ from slam_bof.core import compiled
 __all__ = ["MAX_VIEWS", "MotionVotes", "count_votes", "phases"]
 
 HARMONICS = (2, 3)
-"""Either tells the yaw uniquely within +-60 degrees."""
+"""The harmonics whose phase tells the yaw; either does so uniquely within +-60 degrees."""
 YAWS = (
     np.arange(256, dtype=np.uint8).view(np.int8) * (2 * np.pi / 256) / np.array(HARMONICS)[:, None]
 )
-"""Told by each harmonic, of a difference of phases in 256 to the circle."""
+"""Yaw (2, 256) by each harmonic for each difference of phases, of which 256 make a circle."""
 TURNS = np.exp(1j * YAWS).reshape(-1)
 IS_TOO_FAR = (np.abs(YAWS) > np.radians(66.0)).reshape(-1)
+"""Whether a yaw lies beyond the outermost cell that views of one place may have."""
 YAW_CELLS = np.rint(YAWS / np.radians(20.0)).reshape(-1) + 3
+"""Number of the cell, 20 degrees wide, of each yaw; 3 is that of no yaw."""
 PIVOT_M = 2.0
-"""Turns are about a point so far ahead, where contours are, so that a wrong yaw moves them less."""
+"""Motions turn about a point this far ahead, where contours are, so that an error of the yaw moves
+them less."""
 CELL_BITS = 6
-"""A cell is 2^6 steps wide, half a metre."""
+"""Logarithm to base 2 of the width of a cell in steps: 2^6 steps are half a metre."""
 AXIS_BITS = 4
-"""16 cells along x and z."""
+"""Logarithm to base 2 of the number of cells along x and z, which is 16."""
 YAW_CELL_BITS = YAW_CELLS.astype(np.uint32) << np.uint32(2 * AXIS_BITS)
 MOTION_BITS = 3 + 2 * AXIS_BITS
 MAX_VIEWS = 2 ** (32 - MOTION_BITS)
 BEYOND = 2 ** (AXIS_BITS + CELL_BITS)
-"""Steps from the first cell, along x and z, that are beyond the last one."""
+"""Number of steps along x and z from the beginning of the first cell to the end of the last one."""
 NOWHERE = 2**14 * (1 + 1j)
-"""Steps away from anything."""
+"""A place that is far from all cells, in steps."""
 FEW_VOTES = 20_000
-"""Of more, a vote that stands alone in its cell is left out, for it costs time."""
+"""Number of votes above which those that stand alone in their cells are left out, to save time."""
 NEIGHBOUR = 0.5
-"""What a vote in a cell beside counts."""
+"""Weight of a vote in a neighbouring cell."""
 
 
 class MotionVotes:
-    """What contours of a query vote for.
+    """The motions that contours of a query vote for.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -13,12 +14,16 @@ from slam_bof.bof.constellation import N_HARMONICS, PlacedBofs
 __all__ = ["contour_keys", "key_ranges"]
 
 LOG_SMALLEST = np.log(0.1)
+"""Logarithm of the size, in m, at which the first cell begins."""
 CELL_WIDTHS = np.array([0.2, 0.07, 0.07], np.float32)
-"""Of the logarithm of the size, and of the magnitudes of the second and third harmonic."""
+"""Width of a cell in the logarithm of the size, and in the magnitudes of the second and third
+harmonic."""
 N_CELLS = np.array([24, 8, 5])
+"""Number of cells along each of these; what lies beyond the last is in the last."""
 MEAN_LEVELS = 256
+"""Number of levels to which the mean radius, in [0, 1], is rounded."""
 MEAN_REACH = 15
-"""Levels that means may differ by."""
+"""Number of levels by which the means of two contours that match may differ."""
 
 
 def contour_keys(bofs: PlacedBofs, levels: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -28,12 +33,12 @@ def contour_keys(bofs: PlacedBofs, levels: NDArray[np.uint8]) -> NDArray[np.int3
 
 
 def key_ranges(
-    query: PlacedBofs, slices_apart: tuple[int, ...]
+    query: PlacedBofs, slices_apart: Sequence[int]
 ) -> tuple[NDArray[np.intp], NDArray[np.int32], NDArray[np.int32]]:
     """Return contours (R,) and ranges of keys (R,), (R,) to look each up in.
 
-    Slices are those so many apart from a contour's own. Along each axis of its shape, cells are the
-    two that are nearest.
+    ``slices_apart`` are the differences between the slices that are looked in and a contour's own.
+    Along each axis of its shape, the two nearest cells are looked in.
     """
     at = np.clip(_shape(query), 0, N_CELLS - 0.01)
     beside = np.array(list(product(slices_apart, *[(0, 1)] * len(N_CELLS))))

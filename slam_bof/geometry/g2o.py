@@ -21,8 +21,6 @@ from slam_bof.types import Array, Pose
 
 __all__ = ["GraphEdge", "loop_information", "step_sigmas", "write_g2o"]
 
-TRANSLATION_FIRST = [3, 4, 5, 0, 1, 2]
-"""The order of g2o's tangent in terms of ours, which has the rotation first."""
 ROTATION_PER_QUATERNION = np.array([1.0, 1.0, 1.0, 2.0, 2.0, 2.0])
 """Derivative of our tangent, translation first, with respect to g2o's error."""
 
@@ -61,7 +59,7 @@ def write_g2o(path: Path, poses: Iterable[tuple[int, Pose]], edges: Iterable[Gra
 
 
 def _upper(information: Array) -> str:
-    ordered = information[np.ix_(TRANSLATION_FIRST, TRANSLATION_FIRST)]
+    ordered = se3.exchange_blocks(information)  # g2o's tangent has the translation first
     ordered = ordered * np.outer(ROTATION_PER_QUATERNION, ROTATION_PER_QUATERNION)
     return " ".join(map(repr, ordered[np.triu_indices(6)].tolist()))
 

@@ -17,6 +17,7 @@ __all__ = [
     "align",
     "check_rigid",
     "checked_pose",
+    "exchange_blocks",
     "exp",
     "from_quaternion",
     "interpolate",
@@ -36,6 +37,7 @@ TOLERANCE = 1e-2
 numbers with few digits."""
 LAST_ROW: Array = np.array([0.0, 0.0, 0.0, 1.0])
 LAST_ROW_TOLERANCE = 1e-6
+"""Largest deviation of the last row from this."""
 EYE: Array = np.eye(3)
 SMALL_RAD = 0.03
 """Angles below which a series is more precise."""
@@ -188,6 +190,15 @@ def adjoint(T_a_b: Array) -> Array:
     made[..., :3, :3] = made[..., 3:, 3:] = R
     made[..., 3:, :3] = _cross_matrix(t)[0] @ R
     return made
+
+
+def exchange_blocks(matrix: Array) -> Array:
+    """Return a matrix (..., 6, 6) of tangents with rotation and translation exchanged.
+
+    >>> exchange_blocks(np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])).diagonal()
+    array([4., 5., 6., 1., 2., 3.])
+    """
+    return np.roll(matrix, 3, axis=(-2, -1))
 
 
 def rotation_angle(T: Pose) -> Array:

@@ -2,8 +2,8 @@ from .bag_detector import (
     BagLoopDetector as BagLoopDetector,
 )
 from .candidate_checks import (
-    Found as Found,
     LoopCounts as LoopCounts,
+    RankedCandidates as RankedCandidates,
 )
 from .covisibility import (
     CovisibilityParams as CovisibilityParams,

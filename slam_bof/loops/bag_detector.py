@@ -15,7 +15,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.bof import InvertedIndex
-from slam_bof.loops.candidate_checks import CandidateChecks, Found, LoopCounts, find_maxima
+from slam_bof.loops.candidate_checks import (
+    CandidateChecks,
+    LoopCounts,
+    RankedCandidates,
+    find_maxima,
+)
 from slam_bof.loops.params import LoopParams
 from slam_bof.types import (
     Candidate,
@@ -58,12 +63,12 @@ class BagLoopDetector:
         """Numbers of keyframes of this session by the stage that their search reached."""
         return self._checks.counts
 
-    def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
+    def find(self, keyframe: Keyframe, frame: DepthFrame) -> RankedCandidates:
         """Return up to ``top_k`` maxima of eta, and store the keyframe."""
         n_older = self._checks.n_older(keyframe)
         ranked = self._rank(keyframe, n_older)
         self._store(keyframe)
-        return Found(self._checks.check(keyframe, ranked, n_older))
+        return RankedCandidates(self._checks.check(keyframe, ranked, n_older))
 
     def remember(
         self,

@@ -18,11 +18,11 @@ from slam_bof.core import GrowingArray
 from slam_bof.loops.params import LoopParams
 from slam_bof.types import Candidate, CandidateSource, Decision, Keyframe, Pose, Scene
 
-__all__ = ["CandidateChecks", "Found", "LoopCounts", "find_maxima", "scene_agreement"]
+__all__ = ["CandidateChecks", "LoopCounts", "RankedCandidates", "find_maxima", "scene_agreement"]
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class RankedCandidates:
     """The candidates of a keyframe, best first.
 
     Rejected candidates have the reason. Open ones are verified by geometry; of accepted ones, which

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 from numpy.typing import ArrayLike
 
 from slam_bof.loops.bag_detector import BagLoopDetector
-from slam_bof.loops.candidate_checks import Found, LoopCounts
+from slam_bof.loops.candidate_checks import LoopCounts, RankedCandidates
 from slam_bof.loops.params import LoopParams
 from slam_bof.loops.view_detector import ViewLoopDetector
 from slam_bof.places import Compare
@@ -38,7 +38,7 @@ class LoopDetector(Protocol):
     def newest(self) -> SavedConstellation | None:
         """The constellation of the keyframe stored last, None with bags."""
 
-    def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
+    def find(self, keyframe: Keyframe, frame: DepthFrame) -> RankedCandidates:
         """Return the candidates of a keyframe, and store it."""
 
     def remember(

@@ -10,7 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.geometry import se3
-from slam_bof.loops.candidate_checks import CandidateChecks, Found, LoopCounts, find_maxima
+from slam_bof.loops.candidate_checks import (
+    CandidateChecks,
+    LoopCounts,
+    RankedCandidates,
+    find_maxima,
+)
 from slam_bof.loops.params import LoopParams
 from slam_bof.places import PlaceMatch, PlaceRecogniser
 from slam_bof.types import (
@@ -58,13 +63,13 @@ class ViewLoopDetector:
         """The constellation of the keyframe stored last."""
         return self._recogniser.newest
 
-    def find(self, keyframe: Keyframe, frame: DepthFrame) -> Found:
+    def find(self, keyframe: Keyframe, frame: DepthFrame) -> RankedCandidates:
         """Return up to ``top_k`` maxima of the score after alignment, and store the keyframe."""
         n_older = self._checks.n_older(keyframe)
         self._recogniser.add(frame, keyframe.T_odom_camera)
         matches = {m.view_id: m for m in self._recogniser.recognise(keyframe.id, n_older)}
         ranked = self._rank(keyframe, matches, n_older)
-        return Found(
+        return RankedCandidates(
             self._checks.check(keyframe, ranked, n_older),
             {c.match_id: matches[c.match_id].T_match_query for c in ranked},
         )

@@ -115,7 +115,7 @@ class PlaceRecogniser:
         self.params = params or RecogniserParams()
         self._gravity = GravityTracker(gravity_odom, self.params.gravity, never_lost=never_lost)
         self._never_lost = never_lost
-        self._index = ViewIndex(self.params.search)
+        self._index = ViewIndex(self.params.search, self.params.constellation)
         self._R_level_camera = GrowingArray((3, 3), np.float64)
         self._followed = FollowedMatches()
         self.aligner = ViewAligner(self.params.alignment, seed=seed)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.bof import ConstellationIndex, IndexedView, IndexParams, Motions
+from slam_bof.bof import ConstellationIndex, ConstellationParams, IndexedView, IndexParams, Motions
 
 __all__ = ["Proposals", "ViewIndex"]
 
@@ -35,10 +35,18 @@ class Proposals(NamedTuple):
 
 
 class ViewIndex:
-    """Stores the constellation of each view."""
+    """Stores the constellation of each view.
 
-    def __init__(self, params: IndexParams) -> None:
-        self._index = ConstellationIndex(params)
+    Parameters
+    ----------
+    params
+        How many views are compared, and how.
+    described_by
+        Parameters by which the views are described.
+    """
+
+    def __init__(self, params: IndexParams, described_by: ConstellationParams) -> None:
+        self._index = ConstellationIndex(params, slice_step_m=described_by.slices.step_m)
         self._ids: list[int] = []
 
     @property

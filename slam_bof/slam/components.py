@@ -10,7 +10,7 @@ from slam_bof.core import GrowingArray
 __all__ = ["CULLED", "MapComponents"]
 
 CULLED = -1
-"""Component of keyframes that were culled, where only those in use are looked for."""
+"""Component of culled keyframes in the list of those in use."""
 
 
 class MapComponents:

@@ -76,5 +76,4 @@ def rotation_first(covariance: ArrayLike, frame_index: int) -> Array:
         raise FrameError(f"{place}: expected 36 finite numbers, symmetric")
     if np.linalg.eigvalsh(found)[0] < -1e-9 * max(float(np.trace(found)), 1e-30):
         raise FrameError(f"{place}: expected no negative variance in any direction")
-    order = [3, 4, 5, 0, 1, 2]
-    return np.asarray(found[np.ix_(order, order)])
+    return se3.exchange_blocks(found)

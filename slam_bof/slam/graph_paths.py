@@ -12,7 +12,7 @@ from slam_bof.types import Array
 __all__ = ["Links"]
 
 MIN_LENGTH = 1e-12
-"""Of a link: one of length 0 would be none."""
+"""Length that a shorter link is given: in a sparse matrix, a link of length 0 would be none."""
 
 
 class Links:

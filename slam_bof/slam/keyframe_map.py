@@ -19,9 +19,9 @@ from slam_bof.geometry import (
     view_stride,
 )
 from slam_bof.loops import (
-    Found,
     LoopCounts,
     LoopVerification,
+    RankedCandidates,
     Verified,
     choose_covisible,
     make_loop_detector,
@@ -239,7 +239,7 @@ class KeyframeMap:
         with self._clock.stage("query"):
             if is_full:
                 self._detector.remember(keyframe, frame, [])
-                found = Found()
+                found = RankedCandidates()
             else:
                 found = self._detector.find(keyframe, frame)
         self.graph.add_keyframe(keyframe)

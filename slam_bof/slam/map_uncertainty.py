@@ -28,20 +28,18 @@ from slam_bof.types import Array, EdgeKind, Keyframe, Loop, Pose
 __all__ = ["MapUncertainty", "PoseUncertainty"]
 
 EDGE_VARIANCE = 0.01**2
-"""Of an edge until its noise is known, the mean over the six axes, in rad^2 and m^2."""
+"""Variance of an edge until its noise is known: the mean over the six axes, in rad^2 and m^2."""
 MEDIAN_SQUARE = 5.348
-"""Median of the squares of six independent variables of variance 1: of a chi-squared variable."""
+"""Median of the sum of squares of six independent normal variables of variance 1."""
 MIN_EDGE_VARIANCE = 1e-5**2
-"""The same where edges agree with each other but for rounding."""
+"""Smallest variance of an edge, where edges agree with each other but for rounding."""
 VIEW_FACTOR = 1.5
-"""Variance of an edge in terms of its own noise: what is off in a view shows in no closure."""
+"""Variance of an edge as a multiple of that which closures show: the error of a view is part of all
+its edges, so that it shows in no closure."""
 STEP_VARIANCE = 0.05**2
-"""Of a step between keyframes by an odometry whose noise is not known, in rad^2 and m^2."""
-
-
+"""Variance of a step between keyframes by an odometry of unknown noise, in rad^2 and m^2."""
 OPEN_VARIANCE = 10.0**2
-"""Of a pose along directions that nothing holds, in rad^2 and m^2."""
-TRANSLATION_FIRST = np.ix_([3, 4, 5, 0, 1, 2], [3, 4, 5, 0, 1, 2])
+"""Variance of a pose along directions that nothing holds, in rad^2 and m^2."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +69,7 @@ class PoseUncertainty:
         covariance = carried @ self.covariance @ carried.T
         covariance += np.diag(np.repeat(self.view_variances, 3))
         covariance += OPEN_VARIANCE * open_axes @ open_axes.T
-        return np.asarray(covariance[TRANSLATION_FIRST])
+        return se3.exchange_blocks(covariance)
 
 
 class MapUncertainty:

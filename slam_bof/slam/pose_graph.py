@@ -26,10 +26,11 @@ the edges between the same keyframes, found by the same alignment, are in the gr
 PRECISE = MIN_RELATIVE_SIGMA_LONG
 """Odometry is precise if a step has at most this multiple of the standard deviation of an edge."""
 SLIP, SLIP_PRECISE = 5.0, 20.0
-"""Odometry has slipped where it differs from tracking by this multiple of what is usual. If it is
-precise, an alignment is more likely to be wrong."""
+"""Odometry has slipped where it differs from tracking by this multiple of the usual difference; the
+second where it is precise, because then an alignment is more likely to be wrong."""
 MAX_STEP_SIGMA = 2.5
-"""Odometry is trusted against single views if its steps have at most this multiple of it."""
+"""Odometry is trusted against single views if a step has at most this multiple of the standard
+deviation of an edge."""
 
 
 class MapGraph:

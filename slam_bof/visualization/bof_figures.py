@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from slam_bof.bof import (
     Constellation,
+    ConstellationMatch,
     PlaceParams,
-    PoseHypothesis,
     describe,
     find_contours,
     layer_images,
@@ -77,7 +77,7 @@ def draw_bof(frame: DepthFrame, params: PlaceParams, *, title: str) -> str:
 def draw_constellations(
     query: Constellation,
     match: Constellation,
-    hypothesis: PoseHypothesis | None,
+    hypothesis: ConstellationMatch | None,
     *,
     title: str,
     names: tuple[str, str],

@@ -3,6 +3,7 @@ import pytest
 
 from slam_bof.bof import (
     Constellation,
+    ConstellationIndex,
     ConstellationParams,
     MatchingParams,
     describe_constellation,
@@ -10,6 +11,7 @@ from slam_bof.bof import (
 )
 from slam_bof.bof.constellation import place_bofs
 from slam_bof.bof.constellation_correspondences import find_correspondences
+from slam_bof.bof.levelled_slices import SliceParams
 from slam_bof.geometry import GravityTracker, make_view, se3
 from slam_bof.testing.scenery import blind, example_frames
 
@@ -50,10 +52,21 @@ def test_a_motion_is_recovered_from_one_correspondence():
     motion = (np.radians(20.0), 0.3, 0.1, -0.2)
     query = place_bofs(scene(), PARAMS)
     other = place_bofs(moved(scene(), *motion), PARAMS)
-    pairs = find_correspondences(query, other, MatchingParams())
+    pairs = find_correspondences(query, other, MatchingParams(), PARAMS.slices.step_m)
     found = np.stack([pairs.yaw, pairs.shift.real, pairs.height, pairs.shift.imag], axis=1)
     off = np.abs(found - motion) < [np.radians(4), 0.1, 0.05, 0.1]
     assert off.all(axis=1).sum() > 20
+
+
+def test_heights_are_in_metres_whatever_the_step_of_the_slices():
+    params = ConstellationParams(slices=SliceParams(n_slices=15, step_m=0.2))
+    query, higher = (place_bofs(moved(scene(), 0, 0, y, 0), params) for y in (0.0, 0.4))
+    step_m = params.slices.step_m
+    ours, theirs = (Constellation(bofs, np.eye(3), step_m) for bofs in (query, higher))
+    index = ConstellationIndex(slice_step_m=step_m)
+    index.add(higher)
+    assert match_constellations(ours, theirs)[0].T_match_query[1, 3] == pytest.approx(0.4, abs=0.05)
+    assert index.find(query, 1).motions.height[0] == pytest.approx(0.4, abs=0.05)
 
 
 def test_the_pose_between_two_views_is_found(pair):

@@ -5,6 +5,7 @@ from constellations import seen_again, view
 from slam_bof.bof import (
     ConstellationIndex,
     IndexParams,
+    MatchingParams,
     constellation_index,
     motion_votes,
     pack_constellation,
@@ -183,6 +184,15 @@ def test_slices_beside_are_looked_in_while_the_map_is_small(max_views_beside, is
     (_, by_chance), (_, all_votes) = index.vote(higher, 1), index.vote(view(3), 1)
     assert (by_chance[0] > 0.5 * all_votes[0]) == is_found
     assert 0 in index.candidates(view(3), 1)
+
+
+@pytest.mark.parametrize(("max_slices", "is_found"), [(2, False), (3, True)])
+def test_slices_as_far_apart_as_may_match_are_looked_in(max_slices, is_found):
+    index = ConstellationIndex(IndexParams(matching=MatchingParams(max_slices=max_slices)))
+    index.add(view(3))
+    higher = view(3)._replace(slices=view(3).slices + np.int8(3))
+    (_, by_chance), (_, all_votes) = index.vote(higher, 1), index.vote(view(3), 1)
+    assert (by_chance[0] > 0.5 * all_votes[0]) == is_found
 
 
 def test_an_index_says_how_many_views_it_holds(monkeypatch):

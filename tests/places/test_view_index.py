@@ -25,13 +25,13 @@ def hold(index, ids):
 
 @pytest.fixture
 def index():
-    index = ViewIndex(IndexParams())
+    index = ViewIndex(IndexParams(), ConstellationParams())
     hold(index, range(0, 2 * N, 2))  # the others are not searched
     return index
 
 
 def test_the_same_scene_is_proposed_first_without_motion():
-    index = ViewIndex(IndexParams(n_compared=10))
+    index = ViewIndex(IndexParams(n_compared=10), ConstellationParams())
     hold(index, [*range(0, N), N + 7])
     found = index.propose(N + 7, N)
     assert found.view_ids[0] == 7
@@ -39,7 +39,7 @@ def test_the_same_scene_is_proposed_first_without_motion():
 
 
 def test_a_view_is_proposed_with_several_motions_and_with_turns_on_the_spot():
-    index = ViewIndex(IndexParams(n_compared=10))
+    index = ViewIndex(IndexParams(n_compared=10), ConstellationParams())
     hold(index, [*range(0, N), N + 7])
     ids, motions = index.propose(N + 7, N)
     assert len(ids) == len(motions.yaw) == len(motions.shift) == len(motions.height)
