@@ -207,7 +207,8 @@ class GtsamBackend:
         A loop that says what the map has already waits for the end: where the same place is seen
         over and over, iSAM2's tree would become dense and each update slower than the last. The
         first between two segments never waits: without, the lost step alone would place them. Nor
-        do edges between neighbours in time, without which what they mend a little would add up.
+        do edges between neighbours in time; without them, the small errors that they correct would
+        add up.
         """
         information = loop_information(loop.information, self.params.loop_sigma)
         noise = gtsam.noiseModel.Gaussian.Information(information)

@@ -4,7 +4,7 @@ Graduated non-convexity (Yang et al., RA-L 2020) over all loops at once, with tr
 squares: it finds the few that contradict the many, which a robust kernel cannot undo once they
 have bent the graph. First the motion from keyframe to keyframe is settled by odometry and the
 edges between neighbours in time, under robust kernels, so that a slip of odometry that its
-neighbours mend is not held against the loops.
+neighbours correct is not held against the loops.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ __all__ = [
 ]
 
 ROOT_SIGMA = 1e-3
-"""Of the first node, in rad and in m; nothing pulls at it."""
+"""Standard deviation of the prior of the first node, in rad and m; nothing pulls at it."""
 OPEN_SIGMA = 10.0
-"""Of an edge along the directions that it leaves open, in rad and m."""
+"""Standard deviation of an edge along the directions that it leaves open, in rad and m."""
 MAX_OPEN_SHARE = 1e-4
 """An edge leaves a direction open if it holds less than this share of the edge's information."""
 LOST_SIGMA = 1.0
-"""Of a step over which odometry was lost. Far less certain, and the linear systems become
-ill-posed; this too is nothing beside a loop."""
+"""Standard deviation of a step over which odometry was lost, in rad and m. A loop outweighs it; if
+it were far larger, the linear systems would be ill-posed."""
 
 
 class SelectionParams(Params):

@@ -232,7 +232,7 @@ def _text_format(file: Path) -> Literal["tum", "kitti"]:
 
 
 def _read_npy(file: Path) -> tuple[Trajectory, bool]:
-    """Read (N, 8) rows as TUM has them, or poses (N, 4, 4), (N, 3, 4) or (N, 12)."""
+    """Read (N, 8) rows in the order of TUM files, or poses (N, 4, 4), (N, 3, 4) or (N, 12)."""
     try:
         found = open_npy(file)
     except (OSError, ValueError) as error:

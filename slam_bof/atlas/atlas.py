@@ -43,7 +43,7 @@ from slam_bof.types import Array, Params, Pose
 __all__ = ["Atlas", "AtlasMatch", "AtlasParams"]
 
 MERGE_RATIO = 4
-"""A segment is merged with the one before it, unless that is so many times as large."""
+"""A segment is merged with the one before it, unless that is at least this many times as large."""
 N_TRIES = 5
 """Times that an atlas is read again because another program has changed it meanwhile."""
 LOCK = "lock"

@@ -66,6 +66,6 @@ def index_view(bofs: PlacedBofs) -> IndexedView:
 
 
 def describer_id(params: ConstellationParams, sensor: SensorParams) -> str:
-    """Return what tells whether contours were found as they would be now: 16 digits of a hash."""
+    """Return an identifier of the parameters by which contours are found: 16 digits of a hash."""
     means = json.dumps([DESCRIBER_VERSION, params.model_dump(), sensor.model_dump()])
     return hashlib.sha256(means.encode()).hexdigest()[:16]

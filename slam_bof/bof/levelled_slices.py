@@ -1,8 +1,8 @@
 """Level slices of what a camera sees, and their contours in plan.
 
-Layers as the paper has them (section 3.2), but level, of a fixed height and in metres, so that
-a thing looks the same whatever else the frame shows and wherever the camera stands. Slices
-overlap by half: what is cut badly by one is cut well by the next.
+They are the layers of the paper (section 3.2), but level, of a fixed height and in metres, so that
+an object looks the same whatever else the frame shows and wherever the camera stands. Slices
+overlap by half, so that a surface at the border of one is well inside the next.
 """
 
 from __future__ import annotations

@@ -171,7 +171,7 @@ def count_votes(
 def _agreeing(
     cells: NDArray[np.uint32], least: int
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Return the cells with at least so many votes, and how many."""
+    """Return the cells with at least this many votes, and their numbers of votes."""
     found, counts = np.empty_like(cells), np.empty(len(cells), np.float32)
     n = begin = 0
     for end in range(1, len(cells) + 1):

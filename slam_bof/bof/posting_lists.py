@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 __all__ = ["PostingLists", "Postings", "join_postings"]
 
 MERGE_RATIO = 4
-"""A list is merged with the one before it, unless that is so many times as long."""
+"""A list is merged with the one before it, unless that is at least this many times as long."""
 
 
 class Postings(NamedTuple):

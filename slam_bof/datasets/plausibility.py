@@ -33,7 +33,8 @@ TOO_NEAR = {
 }
 """Factors by which depth is wrong if its unit is, and the usual cause."""
 SWAPPED = 0.25
-"""The principal point is swapped if this fits the transposed image so many times better."""
+"""Share of its distance from the middle of the image at which the principal point lies from that of
+the transposed image, below which its coordinates count as swapped."""
 
 
 def find_doubts(dataset: Dataset) -> list[str]:

@@ -21,7 +21,7 @@ __all__ = ["compile_alignment"]
 def compile_alignment() -> str:
     """Compile alignment, or load it from the disk, before a first frame would wait for it.
 
-    Returns the folder in which the code is kept, empty if every process compiles anew.
+    Returns the folder in which the code is kept; empty if every process compiles it again.
     """
     aligner = ViewAligner(AlignmentParams())
     camera = Intrinsics(32, 24, 28.0, 28.0, 15.5, 11.5)

@@ -49,7 +49,7 @@ def refine(
     T_match_query: Array,
     schedule: IcpSchedule,
 ) -> Array:
-    """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
+    """Return ``T_match_query`` (n, 4, 4) after point-to-plane ICP from given ones.
 
     Parameters
     ----------

@@ -217,7 +217,7 @@ class ViewAligner:
         )
 
     def refine(self, query: int, matches: Indices, T_match_query: Array) -> Array:
-        """Return ``T_match_query`` (n, 4, 4) as point-to-plane ICP has them.
+        """Return ``T_match_query`` (n, 4, 4) after point-to-plane ICP from given ones.
 
         Pairs that have come to rest wait for the last iterations, whose gates are the narrowest.
         Starts are rounded to single precision: those that differ in the last digits, as in a map

@@ -26,7 +26,8 @@ from slam_bof.types import Array, Loop, Params
 __all__ = ["ComponentJoiningGate", "ComponentJoiningParams"]
 
 N_QUERIES = 100
-"""Keyframes of the younger component that are compared with nearby ones of the older."""
+"""Largest number of keyframes of the younger component that are compared with nearby ones of the
+older."""
 
 
 class ComponentJoiningParams(Params):
@@ -149,11 +150,11 @@ class ComponentJoiningGate:
         oriented = [_from_younger(other, components) for other in agreeing]
         return (
             len({other.query_id for other in agreeing}) >= self.params.n_required
-            and self._has_looked_about(oriented, T_map_camera)
+            and self._is_seen_from_several_sides(oriented, T_map_camera)
             and self._is_free(_from_younger(loop, components), T_map_camera, components)
         )
 
-    def _has_looked_about(self, loops: Iterable[Loop], T_map_camera: Array) -> bool:
+    def _is_seen_from_several_sides(self, loops: Iterable[Loop], T_map_camera: Array) -> bool:
         """Return whether the loops see the place from different directions or positions.
 
         It is enough that the queries do, or the matches, so that it does not matter which

@@ -138,7 +138,7 @@ class _MapView:
     def _ways(self) -> dict[int, dict[str, Array]]:
         """Return the way (N, 3) to each keyframe from the one before, on the path and by odometry.
 
-        Odometry starts from the first keyframe of each segment as the map has it.
+        Odometry starts at the pose that the map has for the first keyframe of each segment.
         """
         ways = {}
         for session in self._store.sessions():

@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """Where a run's files are, and its metrics as ``metrics.json`` has them."""
+    """Where a run's files are, and its metrics in the form of ``metrics.json``."""
 
     folder: Path
     metrics: Metrics

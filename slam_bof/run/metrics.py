@@ -1,4 +1,4 @@
-"""The metrics of a run, as ``metrics.json`` has them: flat, SI units, null where unknown."""
+"""The metrics of a run in the form of ``metrics.json``: flat, SI units, null where unknown."""
 
 from __future__ import annotations
 

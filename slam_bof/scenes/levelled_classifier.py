@@ -93,8 +93,7 @@ class LevelledClassifier:
     """A ``Labeller`` by levelled features: a network on them, and a vocabulary of shapes, if any.
 
     The network's input is the height profile and, with a vocabulary, the histogram of shape words.
-    The temperature of
-    its logits is multiplied by the factor of ``warming`` for the view.
+    The temperature of its logits is multiplied by the factor of ``warming`` for the view.
     """
 
     vocabulary: Vocabulary | None
@@ -141,8 +140,8 @@ class LevelledClassifier:
         calibrate_on
             (N,) whether a frame counts for the temperature; by default all do. Copies never do.
         unknown, unknown_weights
-            Features of frames that show none of the classes, and their weights. Of them labels are
-            to be as uncertain as possible.
+            Features of frames that show none of the classes, and their weights. Their labels are to
+            be as uncertain as possible.
         seed
             Seed of the vocabulary and of the default network.
         """

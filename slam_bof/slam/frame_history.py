@@ -53,8 +53,8 @@ class FrameHistory:
     ) -> Trajectory:
         """Return the sensor pose of each frame, corrected by the keyframe poses (K, 4, 4).
 
-        Between keyframes, frames move as odometry or as tracking has them, whichever is nearer to
-        the map from keyframe to keyframe. Without keyframes the poses are those of tracking.
+        Between keyframes, frames move as in odometry or as in tracking, whichever is nearer to the
+        map from keyframe to keyframe. Without keyframes the poses are those of tracking.
         """
         stamps_s = np.array([frame.stamp_s for frame in self.frames])
         poses = np.array([frame.T_odom_camera for frame in self.frames]).reshape(-1, 4, 4)

@@ -189,13 +189,8 @@ class LoopCloser:
                 self._selector.reset()
                 # The frame before has confirmed relocalisation: it belongs to the new segment.
                 self.history.assign_previous(track.segment)
-            is_keyframe = False
-            if self._mapping.is_full:
-                self.n_postponed += 1
-            elif not track.is_lost and self._selector.select(
-                frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
-            ):
-                is_keyframe = True
+            is_keyframe = self._is_keyframe(frame_index, track)
+            if is_keyframe:
                 before.save(self._mapping)
                 self._tracker.keep()
                 self.history.frames[-1] = replace(
@@ -211,6 +206,15 @@ class LoopCloser:
                     self._apply(update)
             self._last = track, T_odom_camera
             return replace(self._step(track, T_odom_camera), is_keyframe=is_keyframe)
+
+    def _is_keyframe(self, frame_index: int, track: Track) -> bool:
+        """Return whether a frame becomes a keyframe; count it if there is no room for one."""
+        if self._mapping.is_full:
+            self.n_postponed += 1
+            return False
+        return not track.is_lost and self._selector.select(
+            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
+        )
 
     def _step(self, track: Track, T_odom_camera: Pose) -> Step:
         """Return the result of a frame, and of the keyframes that are in the map since the last."""

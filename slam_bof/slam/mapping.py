@@ -41,8 +41,8 @@ class MapUpdate:
 
     ``T_map_track`` is the correction of its track by the map, and ``trusts_odometry`` says whether
     the map has found odometry to be about as precise as alignment. ``uncertainty`` is that of the
-    keyframe's pose. ``depth``, ``constellation`` and
-    ``state``, of tracking and of the map, are for the journal.
+    keyframe's pose. ``depth``, ``constellation`` and ``state``, of tracking and of the map, are for
+    the journal.
     """
 
     keyframe: Keyframe

@@ -60,14 +60,6 @@ def replay_keyframes(
             keyframe.id,
             -1 if reopened_session is None else reopened_session,
         )
-        rows = store.rows("culled", "WHERE culled_by = ? ORDER BY keyframe_id", keyframe.id)
-        culled = tuple((row["keyframe_id"], row["anchor_id"]) for row in rows)
-        gone |= dict(culled).keys()
-        if wrong := [pair for pair in culled if pair[1] in gone]:
-            raise MapError(
-                f"{store.path}: found keyframe {wrong[0][1]}, which was culled, as the anchor of "
-                f"keyframe {wrong[0][0]}, expected one in use"
-            )
         starts[keyframe.session] = keyframe.frame_index + 1
         yield KeyframeRecord(
             keyframe=replace(
@@ -81,7 +73,20 @@ def replay_keyframes(
             candidates=tuple(map(decode_candidate, own)),
             measured=tuple(decode_loop(row) for row in own if row["information"] is not None),
             admitted=tuple(map(decode_loop, admitted)),
-            culled=culled,
+            culled=_culled_by(store, keyframe.id, gone),
             state=states[keyframe.session],
             constellation=store.constellation(keyframe.id),
         )
+
+
+def _culled_by(store: MapStore, keyframe_id: int, gone: set[int]) -> tuple[tuple[int, int], ...]:
+    """Return the keyframes that were culled with one, and their anchors; add them to ``gone``."""
+    rows = store.rows("culled", "WHERE culled_by = ? ORDER BY keyframe_id", keyframe_id)
+    culled = tuple((row["keyframe_id"], row["anchor_id"]) for row in rows)
+    gone |= dict(culled).keys()
+    if wrong := [pair for pair in culled if pair[1] in gone]:
+        raise MapError(
+            f"{store.path}: found keyframe {wrong[0][1]}, which was culled, as the anchor of "
+            f"keyframe {wrong[0][0]}, expected one in use"
+        )
+    return culled

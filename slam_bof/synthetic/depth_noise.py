@@ -80,7 +80,7 @@ def _phone(view: View, rng: np.random.Generator) -> NDArray[np.uint16]:
 
 
 def _smooth(shape: tuple[int, ...], rng: np.random.Generator, sigma_px: float) -> Image:
-    """Return noise of unit variance that neighbours share over so many pixels."""
+    """Return noise of unit variance that is correlated over this many pixels."""
     height, width = shape
     small = (round(width / sigma_px) + 3, round(height / sigma_px) + 3)
     coarse = rng.standard_normal((small[1], small[0]), dtype=np.float32)

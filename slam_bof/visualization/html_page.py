@@ -64,7 +64,7 @@ TABLES: dict[str, dict[str, tuple[str, str]]] = {
         "descriptor_bytes_per_frame": ("size of a keyframe's descriptor", "{:.0f} bytes"),
     },
 }
-"""By heading: the key, name and format of each metric."""
+"""The metrics under each heading: key, name and format."""
 
 IN_HEADER = ("dataset", "sequence", "version", "seed")
 UNKNOWN = "unknown"

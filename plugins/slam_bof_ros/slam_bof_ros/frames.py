@@ -28,7 +28,7 @@ R_FLU_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0
 MAX_WAIT_S = 0.2
 """An image whose pose has not come when poses are newer by this is dropped, and counted."""
 FLOAT32 = 7
-"""Of sensor_msgs/PointField."""
+"""Number of this type in sensor_msgs/PointField."""
 MAX_GAP_S = 0.5
 """Frames farther apart than this have no covariance of the step between them."""
 

@@ -282,7 +282,7 @@ class SlamBofNode(Node):
         )
 
     def _outline(self, *, n_known: int = 0) -> MapOutline | None:
-        """Return the map if it is open and has other than so many keyframes."""
+        """Return the map if it is open and has another number of keyframes than this."""
         try:
             if self._mapper.is_finished or len(self._mapper.closer.map) == n_known:
                 return None
