@@ -25,14 +25,13 @@ from slam_bof import Config
 from slam_bof.cli import app
 from slam_bof.core import registry
 from slam_bof.errors import PluginError
+from slam_bof.slam import unit_of
 from slam_bof.types import Params
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = ROOT / "slam_bof"
 DISTRIBUTION = "slam-bof"
 NO_BREAK = "\N{NO-BREAK SPACE}"
-UNITS = {"m": "m", "s": "s", "rad": "rad", "deg": "degrees", "px": "px"}
-"""Units by the suffix of a parameter's name."""
 NOT_SHOWN = {"cli"}
 """Rooms without a page of the Python reference: the commands have a page of their own."""
 PROJECT_PAGES = {"contributing.md": "CONTRIBUTING.md", "changelog.md": "CHANGELOG.md"}
@@ -222,23 +221,13 @@ def _table(kind: type[Params], values: Any) -> list[str]:
         cells = (
             f"`{name}`",
             f"`{_plain(value)}`" if value != "" else "required",
-            unit(name),
+            unit_of(name),
             allowed(field),
         )
         rows.append(f"| {' | '.join(cells)} | {_cell(field.description or '')} |")
     if not rows:
         return []
     return ["| key | default | unit | allowed | meaning |", "|---|---|---|---|---|", *rows, ""]
-
-
-def unit(name: str) -> str:
-    """Return the unit that a parameter's name ends in, such as m for ``distance_m``."""
-    stem, _, suffix = name.rpartition("_")
-    if "_per_" in name:
-        numerator = stem.removesuffix("_per").rpartition("_")[2]
-        if numerator in UNITS and suffix in UNITS:
-            return f"{UNITS[numerator]}/{UNITS[suffix]}"
-    return UNITS.get(suffix, "") if stem else ""
 
 
 def allowed(field: FieldInfo) -> str:

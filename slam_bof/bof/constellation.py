@@ -43,7 +43,7 @@ class ConstellationParams(Params):
     min_radius_m: float = Field(
         0.15,
         gt=0,
-        description="Smallest largest-radius of a contour that is kept, in m.",
+        description="Contours whose largest radius is smaller than this, in m, are dropped.",
     )
     max_contours: int = Field(
         40,

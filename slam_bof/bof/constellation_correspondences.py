@@ -75,12 +75,6 @@ class MatchingParams(Params):
         gt=0,
         description="Largest number of pose hypotheses for a pair of views.",
     )
-    min_score_ratio: float = Field(
-        0.7,
-        gt=0,
-        le=1,
-        description="Smallest score of a further hypothesis, as a share of the best one.",
-    )
 
 
 class Correspondences(NamedTuple):

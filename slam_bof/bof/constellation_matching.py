@@ -19,6 +19,9 @@ from slam_bof.types import Array, Pose
 
 __all__ = ["ConstellationMatch", "camera_motions", "match_constellations"]
 
+MIN_SCORE_RATIO = 0.7
+"""Smallest score of a further motion, as a share of the best one."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConstellationMatch:
@@ -53,7 +56,7 @@ def match_constellations(
     total = np.sqrt(weights(query.bofs).sum() * weights(other.bofs).sum())
     matches: list[ConstellationMatch] = []
     for motion, worth in enumerate(found.worth[:, 0]):
-        if worth == 0.0 or worth < p.min_score_ratio * found.worth[0, 0]:
+        if worth == 0.0 or worth < MIN_SCORE_RATIO * found.worth[0, 0]:
             break
         columns: tuple[NDArray[Any], ...] = found.motions
         motions = Motions(*(column[motion] for column in columns))

@@ -38,7 +38,8 @@ class GravityParams(Params):
     gates_deg: tuple[float, ...] = Field(
         (20.0, 20.0),
         min_length=1,
-        description="The same angle in each iteration of later views.",
+        description="Largest angle of a normal to the horizontal or the vertical in each iteration "
+        "of later views.",
     )
     n_first: int = Field(
         5, ge=0, description="Number of views at the start for which the first angles are used."

@@ -23,7 +23,8 @@ class RegistrationQualityParams(Params):
         0.6,
         ge=0,
         le=1,
-        description="The same where registration started without a guess.",
+        description="Smallest share of points with a match where registration started without a "
+        "guess.",
     )
     max_rmse_m: float = Field(
         0.05,

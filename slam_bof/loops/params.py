@@ -59,7 +59,7 @@ class LoopParams(Params):
     revisit_angle_rad: float = Field(
         0.2,
         ge=0,
-        description="With views: the same for the angle between the two, in rad.",
+        description="With views: largest angle to that older keyframe, in rad, for this.",
     )
     tc: int = Field(
         3,

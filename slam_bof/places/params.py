@@ -27,12 +27,13 @@ class RecogniserParams(Params):
     n_neighbours: int = Field(
         2,
         ge=0,
-        description="Number of views before and after such a match that are aligned too.",
+        description="Number of views before and after such a match that are tried too.",
     )
     overlap_saturation: float = Field(
         0.55,
         ge=0,
-        description="Inlier ratio, less free-space violations, beyond which more hardly counts.",
+        description="Inlier ratio, less free-space violations, above which a higher one hardly "
+        "counts.",
     )
     near_bonus: float = Field(
         0.1,

@@ -10,6 +10,7 @@ from .config import (
 from .config_comments import (
     describe_parameters as describe_parameters,
     dump_with_comments as dump_with_comments,
+    unit_of as unit_of,
 )
 from .frame_history import (
     FrameHistory as FrameHistory,

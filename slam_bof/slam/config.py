@@ -86,6 +86,7 @@ REMOVED_KEYS = (
     "search.n_voted",
     "search.constellation_weight",
     "search.index",
+    "matching.min_score_ratio",
     "tracking.spread_search",
     "tracking.alignment_sigma_rad",
     "tracking.alignment_sigma_m",

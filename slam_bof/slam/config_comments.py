@@ -14,23 +14,12 @@ from pydantic.fields import FieldInfo
 from slam_bof.core import registry
 from slam_bof.slam.config import PORTS_OF_KEYS, Config
 
-__all__ = ["describe_parameters", "dump_with_comments"]
+__all__ = ["describe_parameters", "dump_with_comments", "unit_of"]
 
 WIDTH = 100
 INDENT = "  "
-UNITS = {
-    "_rad_s": "rad/s",
-    "_m_s": "m/s",
-    "_rad_m": "rad/m",
-    "_per_m": "1/m",
-    "_m": "m",
-    "_s": "s",
-    "_ms": "ms",
-    "_rad": "rad",
-    "_deg": "degrees",
-    "_px": "pixels",
-}
-"""Units by the ending of a parameter's name, the more specific first."""
+UNITS = {"m": "m", "s": "s", "ms": "ms", "rad": "rad", "deg": "degrees", "px": "pixels"}
+"""Units by the suffix of a parameter's name."""
 BOUNDS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 Model = type[BaseModel]
@@ -67,6 +56,21 @@ def describe_parameters(model: Model, path: str = "") -> Iterator[tuple[str, str
         yield f"{path}{name}", _description(field), _limits(name, field)
         if (section := _section(field)) is not None:
             yield from describe_parameters(section, f"{path}{name}.")
+
+
+def unit_of(name: str) -> str:
+    """Return the unit that a parameter's name ends in; empty if it ends in none.
+
+    >>> unit_of("drift_rad_per_m"), unit_of("n_points")
+    ('rad/m', '')
+    """
+    stem, _, suffix = name.rpartition("_")
+    if not stem or suffix not in UNITS:
+        return ""
+    if stem.endswith("_per"):
+        numerator = UNITS.get(stem.removesuffix("_per").rpartition("_")[2], "1")
+        return f"{numerator}/{UNITS[suffix]}"
+    return UNITS[suffix]
 
 
 def _lines(
@@ -106,7 +110,7 @@ def _description(field: FieldInfo) -> str:
 def _limits(name: str, field: FieldInfo) -> str:
     """Return unit, range and choices of a parameter, where it has them."""
     found = []
-    if (unit := next((u for end, u in UNITS.items() if name.endswith(end)), None)) is not None:
+    if unit := unit_of(name):
         found.append(f"Unit: {unit}.")
     bounds = [
         f"{sign} {getattr(constraint, bound):g}"

@@ -44,7 +44,8 @@ class MapParams(Params):
     n_views_large: int = Field(
         3,
         gt=0,
-        description="The same number as n_views in a large map, whose cost counts for more.",
+        description="Number of older keyframes at the viewpoint of a keyframe from which it is "
+        "removed from a large map, whose cost counts for more.",
     )
     same_m: float = Field(
         0.2,

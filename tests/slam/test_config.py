@@ -198,6 +198,14 @@ def test_every_renamed_key_exists_under_its_new_name():
         assert re.search(rf"^ *{name}:", dumped, re.MULTILINE), name
 
 
+def test_a_saved_map_may_have_a_key_that_never_had_an_effect():
+    text = "loops: {recogniser: {search: {matching: {min_score_ratio: 0.7, max_slices: 1}}}}"
+    saved = config.parse_saved(text, "map.db")
+    assert saved.loops.recogniser.search.matching.max_slices == 1
+    with pytest.raises(ConfigError, match=r"matching\.min_score_ratio"):
+        config.parse(text, "my.yaml")
+
+
 def test_a_saved_map_may_have_keys_of_what_was_removed():
     search = "{by: both, n_voted: 200, n_compared: 40, constellation_weight: 3.0, index: {}}"
     recogniser = f"{{n_plans: 100, plan_weight: 0.5, n_aligned: 7, search: {search}}}"

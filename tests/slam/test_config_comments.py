@@ -66,6 +66,12 @@ def test_unit_range_and_choices_are_said() -> None:
     assert max(map(len, text.splitlines())) <= 100
 
 
+def test_a_ratio_of_two_units_is_said() -> None:
+    limits = {path: text for path, _, text in describe_parameters(Config)}
+    assert limits["verification.drift_m_per_m"].startswith("Unit: m/m.")
+    assert limits["verification.drift_rad_per_m"].startswith("Unit: rad/m.")
+
+
 def test_the_command_prints_the_comments_and_loads_them_again(tmp_path) -> None:
     printed = CliRunner().invoke(app, ["config", "paper"])
     assert printed.exit_code == 0, printed.output
