@@ -93,7 +93,7 @@ class GtsamBackend:
         self._prior = gtsam.NonlinearFactorGraph()
         self._loops: dict[int, Noisy] = {}
         self._factors: dict[int, gtsam.NonlinearFactor] = {}
-        """Those of the loops, by the same numbers: to make one takes longer than to add it."""
+        """Factors of the loops, by the same numbers: to make one takes longer than to add it."""
         self._weights: list[float] = []
         self._settled: list[Noisy] = []
         self._settled_factors: list[gtsam.NonlinearFactor] = []

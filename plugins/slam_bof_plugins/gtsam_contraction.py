@@ -25,7 +25,7 @@ Noise = gtsam.noiseModel.Gaussian
 
 
 class Attachment(NamedTuple):
-    """Where a node goes: its anchor, and its pose and information there."""
+    """The anchor of a node that is removed, and the node's pose and information relative to it."""
 
     anchor: int
     T_anchor_node: gtsam.Pose3

@@ -30,7 +30,7 @@ AXES: dict[str, Array] = {
 
 BAGS = (".bag", ".mcap", ".db3")
 EDGE_S = 0.02
-"""So far before the first pose and after the last, that pose still holds: stamps are rounded."""
+"""Time before the first stamp and after the last for which that pose holds: stamps are rounded."""
 MAX_WAIT_S = 60.0
 """A recording that begins later than this after the first frame is by another clock."""
 

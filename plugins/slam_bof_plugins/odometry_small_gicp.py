@@ -18,7 +18,7 @@ CLEAR_CYCLE = 10
 
 
 class SmallGicpParams(Params):
-    """What of small_gicp depends on the sensor."""
+    """Parameters of small_gicp that depend on the sensor."""
 
     points: PointParams = PointParams(stride=3, max_range_m=5.0)
     leaf_size_m: float = Field(

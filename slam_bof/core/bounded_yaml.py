@@ -16,7 +16,7 @@ MAX_SCALAR = 3000
 
 
 SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-"""In C where PyYAML has it, which is ten times as fast."""
+"""The loader in C if PyYAML has one, which is ten times as fast."""
 
 
 class _Loader(SafeLoader):  # type: ignore[misc]

@@ -27,7 +27,7 @@ KINECT_FOCAL_PX = 585.0
 CAMERA_FILE = "intrinsics.json"
 MILLIMETRES = 1000.0
 ENDLESS = (RecursionError, OverflowError)
-"""What JSON raises that is nested too deep, or has numbers too large."""
+"""What the parser raises for JSON that is nested too deep or has numbers that are too large."""
 FRAMES_PER_S = 30.0
 
 

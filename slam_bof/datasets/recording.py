@@ -98,7 +98,7 @@ class FolderWriter:
 
 @dataclass(slots=True)
 class RecordResult:
-    """How many frames were written, and how many the camera took in between that were not."""
+    """Numbers of frames that were written, and of those in between that were not."""
 
     n_frames: int = 0
     n_dropped: int = 0

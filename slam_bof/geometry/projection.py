@@ -23,11 +23,12 @@ __all__ = [
 NORMAL_STEPS = 127
 """Number of steps per unit in which normals are stored as bytes."""
 NEAR_M = 0.05
-"""Points nearer than this fall outside."""
+"""Points nearer than this, in m, count as outside of the image."""
 MAX_STEP = 0.03
 """Pixels whose depths differ by less than this share of (1 m + depth) are on one surface."""
 MAX_BEND = 0.03
-"""So are three in a row whose inverse depths deviate from a line by less than this share."""
+"""Three pixels in a row are on one surface as well if their inverse depths deviate from a line by
+less than this share."""
 
 
 class ViewArrays(NamedTuple):

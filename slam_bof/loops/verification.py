@@ -32,10 +32,10 @@ __all__ = ["LoopVerification", "Verified"]
 
 
 class Verified(NamedTuple):
-    """What came of a keyframe's candidates."""
+    """The decisions about a keyframe's candidates, and the edges that follow from them."""
 
     candidates: list[Candidate]
-    """The same, with figures, decision and reason. ``held`` is a loop that waits for others."""
+    """The candidates with figures, decision and reason; one that is ``held`` waits for others."""
     measured: list[Loop]
     """All that geometry accepts, held ones too."""
     admitted: list[Loop]

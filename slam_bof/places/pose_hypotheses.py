@@ -40,7 +40,7 @@ class HypothesisRegistration:
         self._T_map_camera = T_map_camera
         self._prepared: list[Any] = []
         self.names: list[int] = []
-        """What the keyframes are called in answers: their ids in the map."""
+        """Names of the keyframes in answers: their ids in the map."""
 
     def add(self, frame: DepthFrame, name: int) -> None:
         """Add the next keyframe."""

@@ -66,7 +66,7 @@ class _Stays:
 
 
 class _Answer(NamedTuple):
-    """What came of a request: of a keyframe ``number`` is None."""
+    """The answer to a request; ``number`` is that of the call, None for a keyframe."""
 
     number: int | None
     value: Any
@@ -186,7 +186,7 @@ class _Inbox:
 
     def __init__(self) -> None:
         self.updates: list[Any] = []
-        """What came of keyframes: a ``MapUpdate`` each, or a ``_Failure``."""
+        """The result of each keyframe: a ``MapUpdate``, or a ``_Failure``."""
         self.is_closed = False
         self._calls: dict[int, Any] = {}
         self._changed = threading.Condition()

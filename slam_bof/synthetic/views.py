@@ -18,7 +18,7 @@ __all__ = ["messy_views", "shaded_views", "training_views"]
 
 _TRIES = 200
 _ELONGATED = 2.5
-"""In messy rooms this many times as long as wide, three of four views look along the room."""
+"""Ratio of length to width of a messy room from which three of four views look along it."""
 _SMALL_CAMERA = Intrinsics(320, 240, 285.0, 285.0, 159.5, 119.5)
 
 

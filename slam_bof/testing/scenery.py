@@ -15,9 +15,9 @@ __all__ = ["blind", "example_frames", "expect", "expect_rigid", "pair_of_views"]
 FRAMES_PER_S = 30.0
 TURN_DEG_S = 45.0
 N_STANDING = 8
-"""Frames of the turn's beginning, where the camera stands, that are left out."""
+"""Number of frames at the beginning of the turn, where the camera stands, that are left out."""
 YAW_RAD = 1.0
-"""To where the turn begins: there surfaces face all ways, so that no direction is left open."""
+"""Yaw at which the turn begins: surfaces face all ways there, so that no direction is left open."""
 BEHIND = se3.exp(np.array([0.0, np.pi, 0.0, 0.0, 0.0, 0.0]))
 
 
