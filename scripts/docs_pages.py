@@ -90,7 +90,7 @@ def rooms() -> dict[str, list[str]]:
     """Return the modules of each room by the room's name; of a room that is a file, none."""
     found = {"slam_bof": []}
     for path in sorted(PACKAGE.iterdir()):
-        if path.suffix == ".py" and path.stem != "__init__":
+        if path.suffix == ".py" and not path.stem.startswith("__"):
             found[path.stem] = []
         elif (path / "__init__.py").is_file() and path.name not in NOT_SHOWN:
             files = sorted(path.rglob("*.py"))
