@@ -159,7 +159,8 @@ class OdometryFusion:
         whiten, unwhiten = _whitening(information)
         innovation = whiten @ se3.log(se3.inverse(T_predicted) @ T_aligned)
         n = len(innovation)
-        variance = self._compare_steps(T_odometry, T_aligned, whiten, innovation)
+        self._compare_steps(T_odometry, T_aligned, whiten, innovation)
+        variance = self._alignment_variance()
         if step_covariance is None:
             before = whiten @ self.covariance @ whiten.T
             of_step = self._learn(innovation, np.diag(before), variance)
@@ -207,24 +208,28 @@ class OdometryFusion:
 
     def _compare_steps(
         self, T_odometry: Pose, T_aligned: Pose, whiten: Array, innovation: Array
-    ) -> float:
-        """Return the variance of an alignment in terms of what its points tell."""
+    ) -> None:
+        """Learn how steadily odometry and alignment move, if the last frame was aligned too."""
         before, self._steps = self._steps, None
         if self._last is None or not self._is_last_aligned or len(whiten) == 0:
-            return 1.0
+            return
         moved = se3.inverse(self._last) @ np.stack([T_odometry, T_aligned])
         self._steps = se3.log(moved)
-        if before is not None:
-            self._n_steps += 1
-            weight = max(FORGETTING_STEADINESS, 1.0 / self._n_steps)
-            changes = np.square((self._steps - before) @ whiten.T).mean(axis=1)
-            difference, unsteadiness = float(np.mean(innovation**2)), float(changes[1] - changes[0])
-            if self._n_steps > N_REFERENCE:
-                most = OUTLIER**2 * self._difference
-                difference = min(difference, most)
-                unsteadiness = float(np.clip(unsteadiness, -2.0 * most, 2.0 * most))
-            self._difference += weight * (difference - self._difference)
-            self._unsteadiness += weight * (unsteadiness - self._unsteadiness)
+        if before is None:
+            return
+        self._n_steps += 1
+        weight = max(FORGETTING_STEADINESS, 1.0 / self._n_steps)
+        changes = np.square((self._steps - before) @ whiten.T).mean(axis=1)
+        difference, unsteadiness = float(np.mean(innovation**2)), float(changes[1] - changes[0])
+        if self._n_steps > N_REFERENCE:
+            most = OUTLIER**2 * self._difference
+            difference = min(difference, most)
+            unsteadiness = float(np.clip(unsteadiness, -2.0 * most, 2.0 * most))
+        self._difference += weight * (difference - self._difference)
+        self._unsteadiness += weight * (unsteadiness - self._unsteadiness)
+
+    def _alignment_variance(self) -> float:
+        """Return the variance of an alignment in terms of what its points tell."""
         is_steady = (
             self._n_steps > N_REFERENCE
             and self._difference < MAX_ALIGNMENT_VARIANCE

@@ -200,6 +200,19 @@ def test_poses_of_few_digits_stay_poses(truth):
     assert (off_mm(poses, truth) < 2.0).all()
 
 
+def test_what_is_known_of_alignment_holds_after_a_frame_without_one(sparse):
+    fusion, errors = OdometryFusion(), noise(N, 50.0, 2)
+    fused(sparse[:FROM], sparse[:FROM], errors, 5.0, kept=1, fusion=fusion)
+    before = fusion.predict(sparse[FROM - 1])
+    fusion.skip(sparse[FROM], None)
+    fusion.change_keyframe()
+    aligned = fusion.predict(sparse[FROM + 1]) @ se3.exp(np.full(6, 0.1))
+    after = fusion.fuse(sparse[FROM + 1], aligned, information(5.0))
+    step = se3.inverse(before) @ after
+    off = se3.inverse(se3.inverse(sparse[FROM - 1]) @ sparse[FROM + 1]) @ step
+    assert 1e3 * np.abs(off[:3, 3]).max() < 20.0
+
+
 def test_odometry_counts_as_exact_until_it_is_shown_not_to_be(truth):
     """An alignment that is off in the second frame does not move the track by much."""
     errors = np.tile(np.eye(4), (N, 1, 1))
