@@ -66,6 +66,7 @@ class OdometryFusion:
         self.covariance: Array = np.zeros((6, 6))
         self._T_track_odometry: Pose = np.eye(4)
         self._is_aligned = False  # with this keyframe, any frame
+        self._step_covariance = np.zeros((6, 6))  # of odometry, as last learnt
         self._last: Array | None = None  # (2, 4, 4) of the last frame, by odometry and as fused
         self._is_last_aligned = False
         self._skill = OdometrySkill()
@@ -98,6 +99,7 @@ class OdometryFusion:
             "skill": self._skill.state(),
             "n": self._n,
             "squares": self._squares.tolist(),
+            "step_covariance": self._step_covariance.tolist(),
             "n_steps": self._n_steps,
             "difference": self._difference,
             "unsteadiness": self._unsteadiness,
@@ -113,8 +115,9 @@ class OdometryFusion:
         self._last = None if last is None else np.array(last)
         self._is_last_aligned = state.get("is_last_aligned", last is not None)
         self._steps = None if steps is None else np.array(steps)
-        if "skill" in state:
+        if "skill" in state:  # else it was saved before these were known
             self._skill.restore(state["skill"])
+            self._step_covariance = np.array(state["step_covariance"])
         self._n, self._n_steps = state["n"], state["n_steps"]
         self._squares = np.array(state["squares"])
         self._difference, self._unsteadiness = state["difference"], state["unsteadiness"]
@@ -131,8 +134,9 @@ class OdometryFusion:
 
     def skip(self, T_odometry: Pose, step_covariance: Array | None) -> None:
         """Take a frame that is not aligned, with the covariance (6, 6) of odometry's step to it."""
-        if step_covariance is not None:
-            self.covariance = self.covariance + step_covariance
+        if step_covariance is None:
+            step_covariance = self._step_covariance
+        self.covariance = self.covariance + step_covariance
         T_predicted = self.predict(T_odometry)
         self._T_track_odometry = _rigid(T_predicted @ se3.inverse(T_odometry))
         self._set_last(T_odometry, T_predicted)
@@ -164,9 +168,8 @@ class OdometryFusion:
         if step_covariance is None:
             before = whiten @ self.covariance @ whiten.T
             of_step = self._learn(innovation, np.diag(before), variance)
-            covariance = self.covariance + (unwhiten * of_step) @ unwhiten.T
-        else:
-            covariance = self.covariance + step_covariance
+            step_covariance = self._step_covariance = (unwhiten * of_step) @ unwhiten.T
+        covariance = self.covariance + step_covariance
         expected = whiten @ covariance @ whiten.T + variance * np.eye(n)
         gain = np.linalg.solve(expected, whiten @ covariance).T
         if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * n:

@@ -213,6 +213,14 @@ def test_what_is_known_of_alignment_holds_after_a_frame_without_one(sparse):
     assert 1e3 * np.abs(off[:3, 3]).max() < 20.0
 
 
+def test_a_frame_without_alignment_is_less_certain(truth):
+    fusion = OdometryFusion()
+    fused(truth, drifting(truth, 10.0), noise(N, 1.0, 2), 1.0, fusion=fusion)
+    before = fusion.covariance
+    fusion.skip(truth[-1], None)
+    assert (np.diag(fusion.covariance - before) > (5e-3) ** 2).all()
+
+
 def test_odometry_counts_as_exact_until_it_is_shown_not_to_be(truth):
     """An alignment that is off in the second frame does not move the track by much."""
     errors = np.tile(np.eye(4), (N, 1, 1))
@@ -225,6 +233,6 @@ def test_a_state_of_before_steps_were_marked_is_restored(truth):
     fusion, restored = OdometryFusion(), OdometryFusion()
     fused(truth, drifting(truth, 3.0), noise(N, 3.0, 2), 3.0, fusion=fusion)
     state = fusion.state()
-    older = {k: v for k, v in state.items() if k not in ("is_last_aligned", "skill")}
+    older = {k: v for k, v in state.items() if k not in ("is_last_aligned", "skill", "step_covariance")}
     restored.restore(json.loads(json.dumps(older)))
     assert {k: restored.state()[k] for k in older} == older
