@@ -23,6 +23,9 @@ __all__ = ["MapGraph"]
 TRACKED_SIGMA = 5.0
 """Standard deviation of a step of tracking, as a multiple of that of an edge. It is large because
 the edges between the same keyframes, found by the same alignment, are in the graph as well."""
+UNKNOWN_SIGMA = 1.0
+"""The same at the end of a sequence too short to tell: tracking has weighed odometry by frames, of
+which there are many more than keyframes."""
 PRECISE = MIN_RELATIVE_SIGMA_LONG
 """Odometry is precise if a step has at most this multiple of the standard deviation of an edge."""
 SLIP, SLIP_PRECISE = 5.0, 20.0
@@ -38,7 +41,7 @@ class MapGraph:
 
     Steps from keyframe to keyframe are those of tracking. Once it is known how precise odometry
     is beside the edges between keyframes, they become means of odometry and tracking, weighted by
-    that, in the final optimisation.
+    that, in the final optimisation. If that does not become known, they count like edges there.
 
     Attributes
     ----------
@@ -228,6 +231,8 @@ class MapGraph:
                 slip = (SLIP_PRECISE if is_precise else SLIP) * noise.usual_step()
                 tracked = _weighted_track(by_odometry, tracked, share, slip)
                 sigmas = TRACKED_SIGMA * np.sqrt(share) * self.uncertainty.edge_excess()
+            elif not noise.is_given:
+                sigmas = np.full(2, UNKNOWN_SIGMA)
             self.backend.set_odometry(dict(zip(ids, tracked, strict=True)), sigmas)
 
     def _join(self, loop: Loop) -> None:

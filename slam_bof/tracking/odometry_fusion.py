@@ -7,6 +7,9 @@ that they hold weakly. The covariance of an alignment is known from its points
 principal direction from how far alignments are from where the filter expects them (as in Mehra,
 IEEE T-AC 1970), as far as that is more than an alignment may be off itself.
 
+Odometry counts as exact until it shows that it is not. Where it tells nothing of the motion any
+more (``odometry_skill``), the camera is expected to stand still instead.
+
 Some sensors err alike over large parts of a view, as that of a phone does; their alignments are
 less precise than their points tell. That shows where odometry moves steadily and alignment does
 not.
@@ -19,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from slam_bof.geometry import se3
+from slam_bof.tracking.odometry_skill import OdometrySkill
 from slam_bof.types import Array, Pose
 
 __all__ = ["OdometryFusion"]
@@ -62,11 +66,14 @@ class OdometryFusion:
         self.covariance: Array = np.zeros((6, 6))
         self._T_track_odometry: Pose = np.eye(4)
         self._is_aligned = False  # with this keyframe, any frame
+        self._step_covariance = np.zeros((6, 6))  # of odometry, as last learnt
         self._last: Array | None = None  # (2, 4, 4) of the last frame, by odometry and as fused
+        self._is_last_aligned = False
+        self._skill = OdometrySkill()
         self._steps: Array | None = None  # (2, 6) to it by odometry and by alignment
         # In terms of the variance that the points of an alignment tell along each direction:
         self._n = 0
-        self._squares = np.zeros(6)  # of odometry's step and alignment, the best direction first
+        self._squares = np.ones(6)  # of odometry's step and alignment, the best direction first
         self._n_steps = 0
         self._difference = 0.0  # mean square between odometry and alignment
         self._unsteadiness = 0.0  # mean square change of step, of alignment less odometry's
@@ -75,7 +82,7 @@ class OdometryFusion:
         """Take a frame's pose (4, 4) for what it is, and odometry's steps from there on."""
         self._T_track_odometry = _rigid(T_track @ se3.inverse(T_odometry))
         self.covariance = RESTART_VARIANCE * np.eye(6)
-        self._last = self._steps = None
+        self._set_last(T_odometry, T_track)
 
     def change_keyframe(self) -> None:
         """Make the last frame the keyframe that the next ones are aligned with."""
@@ -87,9 +94,12 @@ class OdometryFusion:
         return {
             "T_track_odometry": self._T_track_odometry.tolist(),
             "last": None if self._last is None else self._last.tolist(),
+            "is_last_aligned": self._is_last_aligned,
             "steps": None if self._steps is None else self._steps.tolist(),
+            "skill": self._skill.state(),
             "n": self._n,
             "squares": self._squares.tolist(),
+            "step_covariance": self._step_covariance.tolist(),
             "n_steps": self._n_steps,
             "difference": self._difference,
             "unsteadiness": self._unsteadiness,
@@ -103,20 +113,33 @@ class OdometryFusion:
             return  # a map that was saved before directions were weighed one by one
         last, steps = state["last"], state["steps"]
         self._last = None if last is None else np.array(last)
+        self._is_last_aligned = state.get("is_last_aligned", last is not None)
         self._steps = None if steps is None else np.array(steps)
+        if "skill" in state:  # else it was saved before these were known
+            self._skill.restore(state["skill"])
+            self._step_covariance = np.array(state["step_covariance"])
         self._n, self._n_steps = state["n"], state["n_steps"]
         self._squares = np.array(state["squares"])
         self._difference, self._unsteadiness = state["difference"], state["unsteadiness"]
 
     def predict(self, T_odometry: Pose) -> Pose:
-        """Return the pose (4, 4) of a frame as far as odometry tells."""
+        """Return the pose (4, 4) of a frame before it is aligned.
+
+        That is where odometry has it, or that of the last frame where odometry tells nothing and
+        moves less steadily than alignment.
+        """
+        if self._last is not None and self._unsteadiness < 0.0 and self._skill.is_none:
+            return np.asarray(self._last[1])
         return self._T_track_odometry @ T_odometry
 
-    def skip(self, step_covariance: Array | None) -> None:
+    def skip(self, T_odometry: Pose, step_covariance: Array | None) -> None:
         """Take a frame that is not aligned, with the covariance (6, 6) of odometry's step to it."""
-        if step_covariance is not None:
-            self.covariance = self.covariance + step_covariance
-        self._last = self._steps = None
+        if step_covariance is None:
+            step_covariance = self._step_covariance
+        self.covariance = self.covariance + step_covariance
+        T_predicted = self.predict(T_odometry)
+        self._T_track_odometry = _rigid(T_predicted @ se3.inverse(T_odometry))
+        self._set_last(T_odometry, T_predicted)
 
     def fuse(
         self,
@@ -140,13 +163,13 @@ class OdometryFusion:
         whiten, unwhiten = _whitening(information)
         innovation = whiten @ se3.log(se3.inverse(T_predicted) @ T_aligned)
         n = len(innovation)
-        variance = self._compare_steps(T_odometry, T_aligned, whiten, innovation)
+        self._compare_steps(T_odometry, T_aligned, whiten, innovation)
+        variance = self._alignment_variance()
         if step_covariance is None:
             before = whiten @ self.covariance @ whiten.T
             of_step = self._learn(innovation, np.diag(before), variance)
-            covariance = self.covariance + (unwhiten * of_step) @ unwhiten.T
-        else:
-            covariance = self.covariance + step_covariance
+            step_covariance = self._step_covariance = (unwhiten * of_step) @ unwhiten.T
+        covariance = self.covariance + step_covariance
         expected = whiten @ covariance @ whiten.T + variance * np.eye(n)
         gain = np.linalg.solve(expected, whiten @ covariance).T
         if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * n:
@@ -157,9 +180,19 @@ class OdometryFusion:
         self._is_aligned = True
         self.covariance = covariance - gain @ whiten @ covariance
         T_fused = T_predicted @ se3.exp(gain @ innovation)
+        if self._last is not None and n == 6:
+            step = se3.log(se3.inverse(self._last[0]) @ T_odometry)
+            error = se3.log(se3.inverse(self._T_track_odometry @ T_odometry) @ T_aligned)
+            self._skill.learn(step, error)
         self._T_track_odometry = _rigid(T_fused @ se3.inverse(T_odometry))
-        self._last = np.stack([T_odometry, T_fused])
+        self._set_last(T_odometry, T_fused, is_aligned=True)
         return np.asarray(T_fused)
+
+    def _set_last(self, T_odometry: Pose, T_track: Pose, *, is_aligned: bool = False) -> None:
+        self._last = np.stack([T_odometry, T_track])
+        self._is_last_aligned = is_aligned
+        if not is_aligned:
+            self._steps = None
 
     def _learn(self, innovation: Array, expected: Array, variance: float) -> Array:
         """Learn from a whitened innovation (n,); return the variances (n,) of odometry's step.
@@ -168,35 +201,38 @@ class OdometryFusion:
         of alignment.
         """
         self._n += 1
-        weight = max(FORGETTING, 1.0 / self._n)
         n = len(innovation)
         known = self._squares[:n]
         found = innovation**2 - expected
         if self._n > N_REFERENCE:
             found = np.minimum(found, OUTLIER**2 * np.maximum(known, variance))
-        self._squares = np.append(known + weight * (found - known), self._squares[n:])
+        self._squares = np.append(known + FORGETTING * (found - known), self._squares[n:])
         return np.maximum(self._squares[:n] - (1.0 + MARGIN) * variance, 0.0)
 
     def _compare_steps(
         self, T_odometry: Pose, T_aligned: Pose, whiten: Array, innovation: Array
-    ) -> float:
-        """Return the variance of an alignment in terms of what its points tell."""
+    ) -> None:
+        """Learn how steadily odometry and alignment move, if the last frame was aligned too."""
         before, self._steps = self._steps, None
-        if self._last is None or len(whiten) == 0:
-            return 1.0
+        if self._last is None or not self._is_last_aligned or len(whiten) == 0:
+            return
         moved = se3.inverse(self._last) @ np.stack([T_odometry, T_aligned])
         self._steps = se3.log(moved)
-        if before is not None:
-            self._n_steps += 1
-            weight = max(FORGETTING_STEADINESS, 1.0 / self._n_steps)
-            changes = np.square((self._steps - before) @ whiten.T).mean(axis=1)
-            difference, unsteadiness = float(np.mean(innovation**2)), float(changes[1] - changes[0])
-            if self._n_steps > N_REFERENCE:
-                most = OUTLIER**2 * self._difference
-                difference = min(difference, most)
-                unsteadiness = float(np.clip(unsteadiness, -2.0 * most, 2.0 * most))
-            self._difference += weight * (difference - self._difference)
-            self._unsteadiness += weight * (unsteadiness - self._unsteadiness)
+        if before is None:
+            return
+        self._n_steps += 1
+        weight = max(FORGETTING_STEADINESS, 1.0 / self._n_steps)
+        changes = np.square((self._steps - before) @ whiten.T).mean(axis=1)
+        difference, unsteadiness = float(np.mean(innovation**2)), float(changes[1] - changes[0])
+        if self._n_steps > N_REFERENCE:
+            most = OUTLIER**2 * self._difference
+            difference = min(difference, most)
+            unsteadiness = float(np.clip(unsteadiness, -2.0 * most, 2.0 * most))
+        self._difference += weight * (difference - self._difference)
+        self._unsteadiness += weight * (unsteadiness - self._unsteadiness)
+
+    def _alignment_variance(self) -> float:
+        """Return the variance of an alignment in terms of what its points tell."""
         is_steady = (
             self._n_steps > N_REFERENCE
             and self._difference < MAX_ALIGNMENT_VARIANCE

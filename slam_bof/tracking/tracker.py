@@ -89,7 +89,7 @@ class Tracker:
         self._usual_step = self._usual_step + FORGETTING * (step - self._usual_step)
         self._T_odometry = T_odom_camera
         if not self.params.enabled:
-            self._fusion.skip(covariance)
+            self._fusion.skip(T_odom_camera, covariance)
             return Track(
                 T_odom_camera,
                 False,
@@ -113,7 +113,7 @@ class Tracker:
         self._segment += begins_segment
         if T is None:
             T = T_guess
-            self._fusion.skip(covariance)
+            self._fusion.skip(T_odom_camera, covariance)
         elif is_followed:
             T = self._fusion.fuse(T_odom_camera, T, information, covariance)
         T = se3.pose(se3.nearest_rotation(T[:3, :3]), T[:3, 3])

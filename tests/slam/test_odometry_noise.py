@@ -42,7 +42,7 @@ def edges_of(rng, truth, sigma=(0.005, 0.01), view=(0.0, 0.0)):
     seen = np.array([noisy(rng, T, *view) for T in truth])
     return [
         (i, k, noisy(rng, se3.inverse(seen[i]) @ seen[k], *sigma))
-        for k in range(N)
+        for k in range(len(truth))
         for i in range(max(0, k - REACH), k)
     ]
 
@@ -172,6 +172,25 @@ def test_exact_odometry_is_hardly_touched_and_a_drifting_one_is_corrected():
     assert worst_m(of_exact, truth) < 0.01
     assert worst_m(of_exact, truth) < 0.1 * worst_m(of_drifting, truth)
     assert worst_m(of_drifting, truth) < 0.3 * worst_m(drifting, truth)
+
+
+@pytest.mark.parametrize("seed", [10, 11, 12])
+def test_where_too_few_edges_tell_the_steps_of_tracking_count_like_edges(seed):
+    """Tracking, which knows odometry by frames, has kept it exact."""
+    rng = np.random.default_rng(seed)
+    truth = motion(rng)[:8]
+    graph = MapGraph(registry.build("backends", "gtsam"))
+    edges = [edge for edge in edges_of(rng, truth) if edge[1] > edge[0] + 1]
+    for k, T in enumerate(truth):
+        graph.add_keyframe(Keyframe(k, k, float(k), T, EMPTY, None, T_odom_raw=T))
+        graph.add_loops(
+            Loop(k, i, T_i_k, 1000.0 * np.eye(6), EdgeKind.COVISIBILITY, CandidateSource.PROXIMITY)
+            for i, query, T_i_k in edges
+            if query == k
+        )
+    by_edges_m = worst_m(graph.poses(), truth)
+    graph.optimize()
+    assert worst_m(graph.poses(), truth) < 0.85 * by_edges_m
 
 
 def test_wrong_edges_do_not_hide_how_precise_odometry_is():

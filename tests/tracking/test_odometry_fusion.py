@@ -198,3 +198,41 @@ def test_poses_of_few_digits_stay_poses(truth):
     R = poses[:, :3, :3]
     assert np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max() < 5e-3
     assert (off_mm(poses, truth) < 2.0).all()
+
+
+def test_what_is_known_of_alignment_holds_after_a_frame_without_one(sparse):
+    fusion, errors = OdometryFusion(), noise(N, 50.0, 2)
+    fused(sparse[:FROM], sparse[:FROM], errors, 5.0, kept=1, fusion=fusion)
+    before = fusion.predict(sparse[FROM - 1])
+    fusion.skip(sparse[FROM], None)
+    fusion.change_keyframe()
+    aligned = fusion.predict(sparse[FROM + 1]) @ se3.exp(np.full(6, 0.1))
+    after = fusion.fuse(sparse[FROM + 1], aligned, information(5.0))
+    step = se3.inverse(before) @ after
+    off = se3.inverse(se3.inverse(sparse[FROM - 1]) @ sparse[FROM + 1]) @ step
+    assert 1e3 * np.abs(off[:3, 3]).max() < 20.0
+
+
+def test_a_frame_without_alignment_is_less_certain(truth):
+    fusion = OdometryFusion()
+    fused(truth, drifting(truth, 10.0), noise(N, 1.0, 2), 1.0, fusion=fusion)
+    before = fusion.covariance
+    fusion.skip(truth[-1], None)
+    assert (np.diag(fusion.covariance - before) > (5e-3) ** 2).all()
+
+
+def test_odometry_counts_as_exact_until_it_is_shown_not_to_be(truth):
+    """An alignment that is off in the second frame does not move the track by much."""
+    errors = np.tile(np.eye(4), (N, 1, 1))
+    errors[2] = se3.exp(np.array([0.0, 0.0, 0.0, 0.015, 0.0, 0.0]))
+    poses = fused(truth[:4], truth[:4], errors, 3.0)
+    assert 1e3 * np.abs((se3.inverse(truth[:4]) @ poses)[:, :3, 3]).max() < 1.0
+
+
+def test_a_state_of_before_steps_were_marked_is_restored(truth):
+    fusion, restored = OdometryFusion(), OdometryFusion()
+    fused(truth, drifting(truth, 3.0), noise(N, 3.0, 2), 3.0, fusion=fusion)
+    state = fusion.state()
+    older = {k: v for k, v in state.items() if k not in ("is_last_aligned", "skill", "step_covariance")}
+    restored.restore(json.loads(json.dumps(older)))
+    assert {k: restored.state()[k] for k in older} == older
