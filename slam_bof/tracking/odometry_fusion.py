@@ -36,6 +36,9 @@ N_REFERENCE = 6
 OUTLIER = 5.0
 """An alignment that is off by more than this multiple of what is expected is a slip of odometry, or
 is wrong. It counts as this much in what is learnt."""
+SLIP_GIVEN = 0.2
+"""A slip of odometry that says itself how precise it is moves by more than this, in m or rad.
+Smaller differences are rather those of wrong alignments, or of clocks and calibrations."""
 MARGIN = 2.0
 """Odometry that errs in a step by no more than this multiple of an alignment's variance is left
 alone."""
@@ -165,6 +168,7 @@ class OdometryFusion:
         n = len(innovation)
         self._compare_steps(T_odometry, T_aligned, whiten, innovation)
         variance = self._alignment_variance()
+        is_given = step_covariance is not None
         if step_covariance is None:
             before = whiten @ self.covariance @ whiten.T
             of_step = self._learn(innovation, np.diag(before), variance)
@@ -175,12 +179,17 @@ class OdometryFusion:
         if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * n:
             # Where nothing else has been aligned with this keyframe, it may be odometry that holds.
             share = np.trace(whiten @ gain) / n
-            is_slip = self._is_aligned or self._n <= N_REFERENCE or share > 0.5
+            if is_given:
+                is_far = bool(np.linalg.norm(unwhiten @ innovation) > SLIP_GIVEN)
+                can_slip = self._is_aligned and is_far
+            else:
+                can_slip = self._is_aligned or self._n <= N_REFERENCE
+            is_slip = can_slip or share > 0.5
             gain = unwhiten if is_slip else np.zeros_like(gain)
         self._is_aligned = True
         self.covariance = covariance - gain @ whiten @ covariance
         T_fused = T_predicted @ se3.exp(gain @ innovation)
-        if self._last is not None and n == 6:
+        if self._last is not None and n == 6 and not is_given:
             step = se3.log(se3.inverse(self._last[0]) @ T_odometry)
             error = se3.log(se3.inverse(self._T_track_odometry @ T_odometry) @ T_aligned)
             self._skill.learn(step, error)

@@ -19,6 +19,9 @@ its squared errors are a larger share than this of its squared steps."""
 MIN_ERROR = 0.05
 """Odometry that errs by less than this in a step, in m or rad, does not slip. It may err by more
 than a camera moves that stands still, and is needed once that begins to move."""
+OUTLIER = 4.0
+"""Squared errors that exceed what is known, and that limit, by more than this factor count as this
+much: it takes more than one slip."""
 
 
 class OdometrySkill:
@@ -41,8 +44,9 @@ class OdometrySkill:
         error
             (6,) tangent from where odometry has the frame to where it is aligned.
         """
+        square = min(float(error @ error), OUTLIER * max(self._errors, MIN_ERROR**2))
         self._steps += FORGETTING * (float(step @ step) - self._steps)
-        self._errors += FORGETTING * (float(error @ error) - self._errors)
+        self._errors += FORGETTING * (square - self._errors)
 
     @property
     def is_none(self) -> bool:

@@ -233,6 +233,31 @@ def test_a_state_of_before_steps_were_marked_is_restored(truth):
     fusion, restored = OdometryFusion(), OdometryFusion()
     fused(truth, drifting(truth, 3.0), noise(N, 3.0, 2), 3.0, fusion=fusion)
     state = fusion.state()
-    older = {k: v for k, v in state.items() if k not in ("is_last_aligned", "skill", "step_covariance")}
+    older = {
+        k: v for k, v in state.items() if k not in ("is_last_aligned", "skill", "step_covariance")
+    }
     restored.restore(json.loads(json.dumps(older)))
     assert {k: restored.state()[k] for k in older} == older
+
+
+def test_odometry_of_known_precision_is_not_led_away_by_a_wrong_calibration(truth):
+    """Every alignment is off to the same side, by 30 times of what its points tell."""
+    fusion, known = OdometryFusion(), (1e-5) ** 2 * np.eye(6)
+    fusion.restart(truth[0], truth[0])
+    aside = se3.exp(np.array([0.0, 0.01, 0.0, 0.03, 0.0, 0.0]))
+    for i in range(1, N):
+        if i % KEPT == 1:
+            fusion.change_keyframe()
+        pose = fusion.fuse(truth[i], fusion.predict(truth[i]) @ aside, information(1.0), known)
+    assert 1e3 * np.linalg.norm((se3.inverse(truth[-1]) @ pose)[:3, 3]) < 1.0
+
+
+def test_odometry_of_known_precision_that_slips_by_far_is_corrected(truth):
+    fusion, known = OdometryFusion(), (1e-3) ** 2 * np.eye(6)
+    fusion.restart(truth[0], truth[0])
+    fusion.change_keyframe()
+    slip = se3.exp(np.array([0.0, 0.0, 0.0, 0.5, 0.0, 0.0]))
+    for i in range(1, 10):
+        odometry = slip @ truth[i] if i > 5 else truth[i]
+        pose = fusion.fuse(odometry, truth[i], information(1.0), known)
+    assert 1e3 * np.linalg.norm((se3.inverse(truth[9]) @ pose)[:3, 3]) < 5.0

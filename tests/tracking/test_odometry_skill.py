@@ -35,6 +35,13 @@ def test_odometry_is_needed_by_a_camera_that_stands_still_and_begins_to_move():
     assert not learnt(3.0, step=0.05 * STEP).is_none
 
 
+def test_a_single_slip_is_not_held_against_it():
+    skill = learnt(0.0)
+    slip = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    skill.learn(STEP + slip, -slip)
+    assert not skill.is_none
+
+
 def test_it_becomes_of_use_again():
     skill = learnt(3.0)
     for _ in range(20):
