@@ -139,6 +139,16 @@ def test_labels_are_as_probable_as_they_are_right(n_right):
     assert (p.max(axis=1) / p.sum(axis=1)).mean() == pytest.approx(n_right / 1000, abs=1e-3)
 
 
+def test_certainty_has_no_more_digits_than_it_is_known_to():
+    rng = np.random.default_rng(0)
+    logits, truth = rng.normal(size=(500, 4)).astype(np.float32), rng.integers(0, 4, 500)
+    temperature, warming = fit_certainty(
+        logits, truth, profiles(500, rng.random(500)), np.ones(500)
+    )
+    for value in (temperature, warming.assumed_floor, warming.empty_view):
+        assert value == float(f"{value:.4g}")
+
+
 def test_scenes_of_no_class_lower_the_certainty_of_views_like_theirs_alone():
     rng = np.random.default_rng(0)
     index = rng.integers(0, 3, 900)
