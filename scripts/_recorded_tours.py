@@ -98,7 +98,7 @@ def record_tour(path: Path, config: Config) -> RecordedTour:
     for keyframe in keyframes:
         frame = dataset.frame(int(result.indices[keyframe.frame_index])).corrected(closer.sensor)
         gravity_camera = keyframe.T_odom_camera[:3, :3].T @ np.array(config.gravity_odom)
-        features.append(levelled_features(frame, gravity_camera=gravity_camera, with_shapes=False))
+        features.append(levelled_features(frame, gravity_camera=gravity_camera))
     return RecordedTour(keyframes, features, closer.map.poses(), closer.map.components)
 
 

@@ -27,7 +27,10 @@ def frames(seed, n=24):
 def scenes():
     seen = list(frames(0))
     network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
-    views, labels = [levelled_features(frame) for frame, _ in seen], [label for _, label in seen]
+    views, labels = (
+        [levelled_features(frame, with_shapes=True) for frame, _ in seen],
+        [label for _, label in seen],
+    )
     return LevelledClassifier.fit(views, labels, n_words=30, network=network)
 
 
@@ -41,11 +44,11 @@ def test_unseen_views_are_labelled(scenes):
 
 
 def test_words_can_be_left_out():
-    views = [levelled_features(frame, with_shapes=False) for frame, _ in frames(0)]
+    views = [levelled_features(frame) for frame, _ in frames(0)]
     assert all(item.shapes.shape == (0, N_SHAPE_VALUES) for item in views)
     network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
     labels = [label for _, label in frames(0)]
-    fitted = LevelledClassifier.fit(views, labels, n_words=0, network=network)
+    fitted = LevelledClassifier.fit(views, labels, network=network)
     again = LevelledClassifier.from_arrays(fitted.manifest(), fitted.arrays())
     assert "words" not in fitted.arrays()
     for frame, label in frames(1, n=6):
