@@ -70,6 +70,8 @@ def test_rooms_are_labelled_by_models_without_them(script, monkeypatch):
     rows = script["score"](rooms, p)
     assert rows[0]["label"] == "all"
     assert rows[0]["accuracy"] > 0.9
+    monkeypatch.setitem(script["score"].__globals__, "SEQUENCES", {groups[0]: "unknown"})
+    assert script["score"](rooms, p)[-1]["accuracy"] is None, "of a scene that is no class"
     (first, *_) = script["summarise"]([rows, rows], learnt + learnt, 10)
     assert first["n_rooms"] == 10
     assert first["accuracy"] == rows[0]["accuracy"]
