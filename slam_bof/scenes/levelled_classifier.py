@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import softmax
 
 from slam_bof.bof import Vocabulary
+from slam_bof.core import one_native_thread
 from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.continued_training import continue_network
 from slam_bof.scenes.contour_tokens import contour_tokens
@@ -104,6 +105,7 @@ class LevelledClassifier:
     warming: Warming = NO_WARMING
 
     @classmethod
+    @one_native_thread()  # so that the same frames give the same bytes
     def fit(
         cls,
         features: Sequence[LevelledFeatures],
