@@ -12,14 +12,16 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from _rendered_views import RenderedViews
 from numpy.typing import NDArray
+from rich.console import Console
 from rich.progress import track
 
 from slam_bof.core import registry
@@ -36,6 +38,7 @@ from slam_bof.scenes import (
 from slam_bof.synthetic import FIRST_KINDS, ROOM_KINDS
 from slam_bof.types import Array, DepthFrame
 
+T = TypeVar("T")
 NYU_CAMERA = {
     "width": 640, "height": 480, "fx": 518.86, "fy": 519.47, "cx": 325.58, "cy": 253.74,
     "depth_scale": 1 / 0.039198, "depth_offset": 0.5,
@@ -110,7 +113,6 @@ class Rooms:
             calibrate_on=known.is_real,
             unknown=unknown.features,
             unknown_weights=unknown.weights(),
-            n_words=0,
             network=room_network(seed),
             seed=seed,
         )
@@ -163,8 +165,8 @@ def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
     rng = np.random.default_rng(seed)
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
     views = list(_images(data)) + list(_frames(data, n_frames))
-    for frame, down, scene, room in track(views, "Real rooms"):
-        rooms.features.append(levelled_features(frame, gravity_camera=down, with_shapes=False))
+    for frame, down, scene, room in _track(views, "Real rooms"):
+        rooms.features.append(levelled_features(frame, gravity_camera=down))
         rooms.copies.append([_copy(frame, down, rng) for _ in range(n_copies)])
         rooms.scenes.append(scene)
         rooms.groups.append(room)
@@ -175,7 +177,7 @@ def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) 
     """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
     rng = np.random.default_rng([seed, MESSY])
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
-    for number in track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
+    for number in _track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
         for kind in ROOM_KINDS:
             for frame, down in rendered.messy(kind, number, n_views):
                 rooms.features.append(_copy(frame, down, rng))
@@ -188,10 +190,10 @@ def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) 
 def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
-    for number in track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
+    for number in _track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
         for kind in FIRST_KINDS:
             for frame, _ in rendered.tidy(kind, number, n_views):
-                rooms.features.append(levelled_features(frame, with_shapes=False))
+                rooms.features.append(levelled_features(frame))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
     n = len(rooms.features)
@@ -201,18 +203,23 @@ def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
 def flats(rendered: RenderedViews, n_flats: int, n_views: int) -> Rooms:
     """Describe ``n_views`` along the tour of each of ``n_flats`` flats."""
     rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
-    for number in track(range(TIDY_SEED, TIDY_SEED + n_flats), "Flats"):
+    for number in _track(range(TIDY_SEED, TIDY_SEED + n_flats), "Flats"):
         for frame, kind in rendered.tour(number, n_views):
-            rooms.features.append(levelled_features(frame, with_shapes=False))
+            rooms.features.append(levelled_features(frame))
             rooms.scenes.append(kind)
             rooms.groups.append(f"flat {number}")
     n = len(rooms.features)
     return replace(rooms, copies=[[]] * n, origins=np.full(n, TIDY))
 
 
+def _track(items: Sequence[T], what: str) -> Iterable[T]:
+    """Show the progress through items on stderr, beside the figures."""
+    return track(items, what, console=Console(stderr=True))
+
+
 def _copy(frame: DepthFrame, down: Array | None, rng: np.random.Generator) -> LevelledFeatures:
     measured, down = remeasure(frame, rng, down)
-    return levelled_features(measured, gravity_camera=down, with_shapes=False)
+    return levelled_features(measured, gravity_camera=down)
 
 
 def _images(data: Path) -> Iterator[View]:

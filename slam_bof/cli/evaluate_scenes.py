@@ -101,8 +101,8 @@ def scenes(
     methods: Annotated[
         str | None,
         typer.Option(
-            help="For groups: profile, words, tokens, profile+tokens, bag:linear, bag:rbf or ours; "
-            "with the extra train also transformer and profile+transformer. "
+            help="For groups: ours, words, profile+words, tokens, profile+tokens, bag:linear or "
+            "bag:rbf; with the extra train also transformer and profile+transformer. "
             "Else methods, separated by commas: ours, descriptor plug-ins, A+B for two joined, "
             "A:mlp for another classifier than an RBF SVM (see train --classifier), A:grid for an "
             "SVM found by grid search."

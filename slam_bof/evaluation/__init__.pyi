@@ -8,6 +8,7 @@ from .holdout_training import (
     train_words as train_words,
 )
 from .labeller_scores import (
+    MAX_DOUBTFUL as MAX_DOUBTFUL,
     evaluate_labeller as evaluate_labeller,
     label_figures as label_figures,
 )

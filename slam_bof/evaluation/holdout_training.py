@@ -58,6 +58,12 @@ class TrainedSceneModel:
         return 0 if self.result is None else len(self.result.true)
 
 
+def _has_shape_words(model: Model | None) -> bool:
+    """Return whether a model labels by shape words too, as those of earlier versions may."""
+    classifier = None if model is None else model.levelled_classifier
+    return classifier is not None and classifier.vocabulary is not None
+
+
 def train_scene_model(
     frames: Sequence[LabelledFrame],
     params: PlaceParams | None = None,
@@ -131,6 +137,7 @@ def train_scene_model(
         params,
         levelled=levelled,
         with_tokens=constellation,
+        with_shapes=_has_shape_words(start),
         n_copies=n_copies,
         seed=seed,
         n_jobs=n_jobs,

@@ -22,6 +22,7 @@ from slam_bof.evaluation.cost import Cost, one_thread
 from slam_bof.evaluation.scene_benchmark import SceneResult, each_by_itself
 from slam_bof.evaluation.scene_metrics import scene_scores
 from slam_bof.scenes import (
+    N_WORDS,
     ConstellationClassifier,
     LevelledClassifier,
     LevelledFeatures,
@@ -42,10 +43,11 @@ Progress = Callable[[str, int, int], None]
 Bag = NDArray[np.float32]
 
 GROUP_METHODS = (
-    "ours", "profile", "words", "tokens", "profile+tokens", "transformer", "profile+transformer",
-    "bag:linear", "bag:rbf",
+    "ours", "words", "profile+words", "tokens", "profile+tokens", "transformer",
+    "profile+transformer", "bag:linear", "bag:rbf",
 )  # fmt: skip
-"""Methods by name. ``ours`` is the height profile with shape words, as ``train`` learns it;
+"""Methods by name. ``ours`` is the height profile, as ``train`` learns it; ``words`` are those of
+shapes in level slices, which models of earlier versions have beside it;
 ``tokens`` is a histogram of the kinds of placed BOFs, ``transformer`` attends to the set of them
 (``--constellation`` of ``train`` is ``profile+transformer``); ``bag`` is the paper's bag of words
 with a support vector machine."""
@@ -235,15 +237,15 @@ def _make(name: str, n_words: int, seed: int) -> _Method:
     """Return the method of a name."""
     match name:
         case "ours":
-            return _Method(name, _features, _fit_levelled(seed))
-        case "profile":
             return _Method(name, _profile_only, _fit_levelled(seed))
         case "words":
-            return _Method(name, _words_only, _fit_levelled(seed))
+            return _Method(name, _words_only, _fit_levelled(seed, N_WORDS))
+        case "profile+words":
+            return _Method(name, _profile_and_words, _fit_levelled(seed, N_WORDS))
         case "tokens":
-            return _Method(name, _tokens_only, _fit_levelled(seed))
+            return _Method(name, _tokens_only, _fit_levelled(seed, N_WORDS))
         case "profile+tokens":
-            return _Method(name, _profile_and_tokens, _fit_levelled(seed))
+            return _Method(name, _profile_and_tokens, _fit_levelled(seed, N_WORDS))
         case "transformer":
             import_torch()
             return _Method(name, _set_only, _fit_constellation(seed))
@@ -256,17 +258,16 @@ def _make(name: str, n_words: int, seed: int) -> _Method:
     raise DatasetError(f"method {name!r}: found none, expected some of {', '.join(GROUP_METHODS)}")
 
 
-def _features(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
+def _profile_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
     return levelled_features(frame, gravity_camera=down)
 
 
-def _profile_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
-    found = _features(frame, down)
-    return LevelledFeatures(found.profile, found.shapes[:0])
+def _profile_and_words(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
+    return levelled_features(frame, gravity_camera=down, with_shapes=True)
 
 
 def _words_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
-    found = _features(frame, down)
+    found = _profile_and_words(frame, down)
     return LevelledFeatures(np.zeros_like(found.profile), found.shapes)
 
 
@@ -277,7 +278,7 @@ def _tokens_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
 
 def _profile_and_tokens(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
     tokens = turned_tokens(bof_tokens(frame, gravity_camera=down))
-    return LevelledFeatures(_features(frame, down).profile, tokens)
+    return LevelledFeatures(_profile_only(frame, down).profile, tokens)
 
 
 def _set_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
@@ -301,7 +302,7 @@ def _predictor(classifier: LevelledClassifier | ConstellationClassifier) -> _Pre
     return predict, sum(array.nbytes for array in classifier.arrays().values())
 
 
-def _fit_levelled(seed: int) -> Callable[..., _Predictor]:
+def _fit_levelled(seed: int, n_words: int = 0) -> Callable[..., _Predictor]:
     def fit(
         features: list[LevelledFeatures],
         copies: list[list[LevelledFeatures]],
@@ -313,6 +314,7 @@ def _fit_levelled(seed: int) -> Callable[..., _Predictor]:
             labels,
             groups,
             copies=copies,
+            n_words=n_words,
             weights=np.ones(len(labels)),
             network=room_network(seed),
             seed=seed,

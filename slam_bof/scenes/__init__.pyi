@@ -34,6 +34,7 @@ from .labeller import (
     Labeller as Labeller,
 )
 from .levelled_classifier import (
+    N_WORDS as N_WORDS,
     LevelledClassifier as LevelledClassifier,
     LevelledFeatures as LevelledFeatures,
     levelled_features as levelled_features,

@@ -11,12 +11,16 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import log_softmax, softmax
 
+from slam_bof.core import one_native_thread
 from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, SURFACE_SHARE
 from slam_bof.scenes.mlp_ensemble import TEMPERATURES
 from slam_bof.types import Array
 
 __all__ = ["NO_WARMING", "Warming", "fit_certainty"]
 
+N_DIGITS = 4
+"""Significant digits of what is fitted. Further ones are an optimiser's, and would differ with the
+number of threads and the version of a library."""
 MAX_FLOOR_WARMING, MAX_EMPTY_WARMING = 4.0, 50.0
 """Largest ``Warming.assumed_floor`` and ``Warming.empty_view``."""
 
@@ -63,6 +67,7 @@ class Warming:
 NO_WARMING = Warming()
 
 
+@one_native_thread()
 def fit_certainty(
     logits: NDArray[np.float32],
     index: NDArray[np.intp],
@@ -103,6 +108,10 @@ def fit_certainty(
     bounds = [tuple(np.log(limits)) for limits in most]
     start = np.array([0.3, 0.1, 0.1])
     best = minimize(cross_entropy, start, bounds=bounds, method="L-BFGS-B").x
-    _, floor, empty = np.exp(best).tolist()
+    floor, empty = (_rounded(value) for value in np.exp(best[1:]).tolist())
     known = minimize_scalar(lambda t: overconfidence(t) ** 2, bounds=bounds[0], method="bounded")
-    return float(np.exp(known.x)), Warming(floor, empty)
+    return _rounded(np.exp(known.x)), Warming(floor, empty)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{N_DIGITS}g}")

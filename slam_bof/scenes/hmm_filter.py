@@ -71,12 +71,13 @@ class SceneFilterParams(Params):
         description="Exponent of a keyframe's probabilities when all keyframes are smoothed at "
         "the end of the run.",
     )
-    new_view_weight: float = Field(
-        0.15,
+    view_correlation: float = Field(
+        0.4,
         ge=0,
         le=1,
-        description="Weight of a view that shows something new of a place against the first view "
-        "of it, for the certainty of smoothed labels. Views of what was seen before add nothing.",
+        description="Correlation between what different views of a place say of its scene. "
+        "Smoothed labels are as certain as by n / (1 + (n - 1) * view_correlation) independent "
+        "views, where n views show something new. Views of what was seen before add nothing.",
     )
     look_ahead_m: float = Field(
         1.0,
@@ -91,7 +92,7 @@ class SceneFilterParams(Params):
         "place, in metres.",
     )
     min_probability: float = Field(
-        0.4,
+        0.5,
         ge=0,
         le=1,
         description="Least probability of a label; a less probable one becomes 'unknown'.",
@@ -175,7 +176,7 @@ class SceneFilter:
         self._sums[best] += [*logs, new, 1.0]
         self._seen.append([position_m, axis])
         own = self._sums[best]
-        return pooled(own[:-2], own[-2], own[-1], self._params.new_view_weight)
+        return pooled(own[:-2], own[-2], own[-1], self._params.view_correlation)
 
 
 def most_probable_scene(

@@ -97,7 +97,7 @@ def smooth(
         raw = weighted_log_likelihood(np.array([scene.probabilities for scene in scenes]), 1.0)
         views = np.column_stack([raw, new, np.ones_like(new)])
         views = place_evidence(views, seen_m, positions_m, where, params.spread_m)
-        beliefs = _pool(beliefs.argmax(axis=1), views, distances_m, params.new_view_weight)
+        beliefs = _pool(beliefs.argmax(axis=1), views, distances_m, params.view_correlation)
     pairs = zip(beliefs, scenes, strict=True)
     return [
         most_probable_scene(belief, scene.classes, params.min_probability)
@@ -105,7 +105,7 @@ def smooth(
     ]
 
 
-def _pool(best: NDArray[np.intp], views: Array, steps_m: Array, new_view_weight: float) -> Array:
+def _pool(best: NDArray[np.intp], views: Array, steps_m: Array, view_correlation: float) -> Array:
     """Return probabilities (K, C): each by the views along the path with the same best class.
 
     ``best`` (K,) is the most probable class. ``views`` (K, C + 2) are sums over the views of each
@@ -116,7 +116,7 @@ def _pool(best: NDArray[np.intp], views: Array, steps_m: Array, new_view_weight:
     for label in np.unique(best):
         own = best == label
         sums = path_sums(views * own[:, None], steps_m)[own]
-        out[own] = pooled(sums[:, :-2], sums[:, -2], sums[:, -1], new_view_weight)
+        out[own] = pooled(sums[:, :-2], sums[:, -2], sums[:, -1], view_correlation)
     return out
 
 

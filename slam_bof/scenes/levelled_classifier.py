@@ -1,4 +1,4 @@
-"""Scene labels from levelled point clouds: height profile and shape words, then a small network."""
+"""Scene labels from levelled point clouds: height profile, maybe shape words, a small network."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import softmax
 
 from slam_bof.bof import Vocabulary
+from slam_bof.core import one_native_thread
 from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.continued_training import continue_network
 from slam_bof.scenes.contour_tokens import contour_tokens
@@ -21,6 +22,7 @@ from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
 __all__ = [
+    "N_WORDS",
     "LevelledClassifier",
     "LevelledFeatures",
     "levelled_features",
@@ -33,6 +35,7 @@ MIN_SCALE, MIN_TEMPERATURE = 1e-9, 1e-3
 """Least numbers that a model may divide by."""
 
 N_WORDS = 400
+"""Number of shape words in models that have some."""
 MAX_SHAPES = 40_000
 """The vocabulary is learnt from at most this many shapes, drawn at random."""
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
@@ -58,12 +61,12 @@ def levelled_features(
     frame: DepthFrame,
     *,
     gravity_camera: Array | None = None,
-    with_shapes: bool = True,
+    with_shapes: bool = False,
     with_tokens: bool = False,
 ) -> LevelledFeatures:
     """Return the features of a frame; other parameters are those of ``levelled_cloud``.
 
-    Without shapes there are none, and the features cost less than half.
+    Descriptors of shapes, for models that have words of them, cost more than all else.
     """
     cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
 
@@ -101,6 +104,7 @@ class LevelledClassifier:
     warming: Warming = NO_WARMING
 
     @classmethod
+    @one_native_thread()  # so that the same frames give the same bytes
     def fit(
         cls,
         features: Sequence[LevelledFeatures],
@@ -108,7 +112,7 @@ class LevelledClassifier:
         groups: ArrayLike | None = None,
         *,
         n_groups: int | None = None,
-        n_words: int = N_WORDS,
+        n_words: int = 0,
         network: MlpEnsemble | None = None,
         copies: Sequence[Sequence[LevelledFeatures]] = (),
         weights: ArrayLike | None = None,
@@ -117,7 +121,7 @@ class LevelledClassifier:
         unknown_weights: ArrayLike | None = None,
         seed: int = 0,
     ) -> Self:
-        """Learn a vocabulary and a network.
+        """Learn a network and, with ``n_words``, a vocabulary of shapes.
 
         Where groups are rooms, ``fit_certainty`` then fits how certain labels are.
 
@@ -128,7 +132,8 @@ class LevelledClassifier:
         groups, n_groups
             As in ``MlpEnsemble.fit``.
         n_words
-            Number of shape words; fewer where there are fewer shapes, and 0 for none.
+            Number of shape words, which features with shapes are needed for; fewer where there are
+            fewer shapes. By default there are none: in no comparison do they add anything.
         network
             The network to fit, by default ``MlpEnsemble`` with its default parameters.
         copies

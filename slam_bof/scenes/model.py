@@ -55,6 +55,7 @@ SUPERSEDED = {
     "9e04125ebb8c6a44cbd1354e83330af6c2d6fcf74e9275669e5167f5a6dde356": DEFAULT,
     "16bb13fe419f3da0b40af09d1c1f9ae2841cf9bb2009f2b8f0ab41c77f08b09d": DEFAULT,
     "122169fe3ef2a18b7113932594d603cc95f08dc0ef9f653a9a1a39c7ec87190a": DEFAULT,
+    "0c1e8a57e0a439139634bdb5c45f514a2cfb78251720af8bb72dd235e43aa1d0": DEFAULT,
     "daff55e72714452b1981776beeb732a6cf4f0ad4147297d1e25de5739b5dc689": "synthetic",
 }
 """Included models by the content hashes of earlier ones, which are included no more and have the

@@ -142,6 +142,7 @@ def describe_frames(
     *,
     levelled: bool = False,
     with_tokens: bool = False,
+    with_shapes: bool = False,
     n_copies: int = 0,
     seed: int = 0,
     n_jobs: int | None = 1,
@@ -149,7 +150,8 @@ def describe_frames(
 ) -> FrameDescriptors:
     """Return the BOF descriptors of frames, and their levelled features where ``levelled``.
 
-    ``with_tokens`` adds the tokens of a constellation classifier to these.
+    ``with_tokens`` adds the tokens of a constellation classifier to these, and ``with_shapes``
+    what a levelled classifier with shape words needs to be continued.
 
     With ``n_copies`` there are levelled features of as many copies of each frame too, as other
     sensors, drawn by ``seed``, would have measured it. ``n_jobs`` frames are described at a time,
@@ -174,7 +176,7 @@ def describe_frames(
             views = [(item.frame, item.gravity_camera)]
             views += [remeasure(item.frame, rng, item.gravity_camera) for _ in range(n_copies)]
             yield joblib.delayed(_describe_frame)(
-                views, params, levelled=levelled, with_tokens=with_tokens
+                views, params, levelled=levelled, with_tokens=with_tokens, with_shapes=with_shapes
             )
 
     described = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs())
@@ -203,13 +205,16 @@ def _describe_frame(
     *,
     levelled: bool,
     with_tokens: bool,
+    with_shapes: bool,
 ) -> tuple[NDArray[np.float32], tuple[LevelledFeatures, ...]]:
     """Return the BOF descriptors of a frame, and the levelled features of it and its copies."""
     frame, gravity_camera = views[0]
     return (
         descriptors(frame, params, gravity_camera=gravity_camera),
         tuple(
-            levelled_features(view, gravity_camera=down, with_tokens=with_tokens)
+            levelled_features(
+                view, gravity_camera=down, with_shapes=with_shapes, with_tokens=with_tokens
+            )
             for view, down in views
             if levelled
         ),

@@ -3,7 +3,7 @@
 Neighbouring keyframes see the same surfaces, and a classifier that is wrong about them is wrong
 each time. The hidden Markov model counts every keyframe, which finds the most probable scene. How
 probable it is follows from the mean of the nearby views that it assigns to the same scene: a
-hundred views of one wall count as one, and other views of the same place a little more.
+hundred views of one wall count as one, and many views of the same place as two or three.
 """
 
 from __future__ import annotations
@@ -92,8 +92,12 @@ def path_sums(values: Array, steps_m: Array) -> Array:
     return np.asarray(before + after - values)
 
 
-def pooled(logs: Array, n_new: Array, n_views: Array, new_view_weight: float) -> Array:
+def pooled(logs: Array, n_new: Array, n_views: Array, view_correlation: float) -> Array:
     """Return the probabilities (..., C) of a scene by several views of it.
+
+    Views of one room err together, as members of a cluster do: ``n`` of them weigh as much as
+    ``n / (1 + (n - 1) view_correlation)`` independent ones (the design effect of L. Kish, "Survey
+    Sampling", 1965). No number of views counts as more than ``1 / view_correlation``.
 
     Parameters
     ----------
@@ -101,15 +105,18 @@ def pooled(logs: Array, n_new: Array, n_views: Array, new_view_weight: float) ->
         (..., C) sums of the logarithms of the views' probabilities.
     n_new, n_views
         (...) sum of the views' novelties, and number of views.
-    new_view_weight
-        Weight of a new view of a place against the first one.
+    view_correlation
+        Correlation of what two different views of a place say, from 0 to 1.
 
     Examples
     --------
     >>> logs = 100 * np.log([0.8, 0.2])
-    >>> pooled(logs, np.array(1.0), np.array(100.0), 0.15).round(3).tolist()
+    >>> pooled(logs, np.array(1.0), np.array(100.0), 0.4).round(3).tolist()
     [0.8, 0.2]
+    >>> pooled(logs, np.array(1e9), np.array(100.0), 0.5).round(3).tolist()  # as two views
+    [0.941, 0.059]
     """
-    n_independent = 1.0 + new_view_weight * np.maximum(n_new - 1.0, 0.0)
+    n = np.maximum(n_new, 1.0)
+    n_independent = n / (1.0 + (n - 1.0) * view_correlation)
     weights = n_independent / np.maximum(n_views, 1e-9)
     return np.asarray(softmax(logs * weights[..., None], axis=-1))

@@ -80,6 +80,7 @@ RENAMED_KEYS = {
 }
 """Keys of earlier versions, given by the end of their path, and their present names."""
 REMOVED_KEYS = (
+    "labels.new_view_weight",
     "recogniser.n_plans",
     "recogniser.plan_weight",
     "search.by",

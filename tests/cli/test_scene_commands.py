@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +14,9 @@ from commands import refusal, slam_bof
 from conftest import CAMERA
 from labelled_boxes import SIZES_M, write_box
 
-from slam_bof.scenes import model, training
+from slam_bof.core import registry
+from slam_bof.scenes import LevelledClassifier, levelled_features, model, training
+from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 
 QUICK = ("--words", 8, "--quiet")
 BAGS = ("--descriptor", "bof")
@@ -125,6 +128,32 @@ def test_train_continues_a_model(boxes: Path, tmp_path: Path) -> None:
     assert (trained.vocabulary.words_ == start.vocabulary.words_).all()
     assert slam_bof(*arguments, "--label", f"hall={boxes / 'hall'}").exit_code == 0
     assert "--from: found with" in refusal(*arguments, *labels(boxes), *BAGS)
+
+
+def test_train_continues_a_model_of_an_earlier_version_with_shape_words(
+    boxes: Path, tmp_path: Path
+) -> None:
+    names = [name for name in SIZES_M for _ in range(4)]
+    datasets = {name: registry.open_dataset(boxes / name / "seq-01") for name in SIZES_M}
+    views = [
+        levelled_features(datasets[name].frame(5 * (k % 4)), with_shapes=True)
+        for k, name in enumerate(names)
+    ]
+    network = MlpEnsemble(n_hidden=8, n_networks=1, n_steps=50, n_folds=2)
+    with_words = LevelledClassifier.fit(views, names, n_words=6, network=network)
+    start = tmp_path / "before.bof"
+    model.save(replace(model.resolve("synthetic"), levelled_classifier=with_words), start)
+    out = tmp_path / "after.bof"
+    arguments = ("train", "--from", start, "-o", out, "--no-check", "--quiet")
+    assert slam_bof(*arguments, *labels(boxes)).exit_code == 0
+    before, after = (model.load(file).levelled_classifier for file in (start, out))
+    assert (after.vocabulary.words_ == before.vocabulary.words_).all()
+    frames = [(datasets[name].frame(k), name) for name in SIZES_M for k in range(20)]
+    expected = before.continue_training(
+        [levelled_features(frame, with_shapes=True) for frame, _ in frames],
+        [name for _, name in frames],
+    )
+    assert (after.network.out_ == expected.network.out_).all(), "by the words of new frames too"
 
 
 def test_train_by_table_with_another_classifier_and_layers(boxes: Path, tmp_path: Path) -> None:
@@ -264,11 +293,11 @@ def test_images_by_room(boxes: Path, tmp_path: Path) -> None:
     fields = ("width", "height", "fx", "fy", "cx", "cy")
     camera.write_text(json.dumps({name: getattr(CAMERA, name) for name in fields}))
     groups = ("evaluate", "scenes", "--protocol", "groups", "--csv", table, "--camera", camera)
-    quick = ("--methods", "profile", "--folds", 2, "--repeats", 1, "--copies", 0, "--quiet")
+    quick = ("--methods", "ours", "--folds", 2, "--repeats", 1, "--copies", 0, "--quiet")
     said = json.loads(slam_bof(*groups, *quick, "--out", tmp_path / "page", "--json").stdout)
     assert (said["n_images"], said["n_groups"], said["classes"]) == (24, 12, sorted(SIZES_M))
-    assert said["methods"]["profile"]["accuracy"] > 0.5
-    assert (tmp_path / "page" / "confusion_profile.png").is_file()
+    assert said["methods"]["ours"]["accuracy"] > 0.5
+    assert (tmp_path / "page" / "confusion_ours.png").is_file()
     assert "Recall by class" in slam_bof(*groups, *quick, "--classes", "hall,store").stdout
     tested = json.loads(slam_bof(*groups, "--model", "default", "--quiet", "--json").stdout)
     assert [row["label"] for row in tested["by_class"]] == sorted(SIZES_M)

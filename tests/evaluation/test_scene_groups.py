@@ -60,14 +60,14 @@ def test_methods_are_tested_on_rooms_never_seen(frames: list[LabelledFrame]) -> 
     done: list[tuple[str, int, int]] = []
     results = cross_validate_groups(
         frames,
-        ["profile", "tokens", "bag:linear"],
+        ["ours", "tokens", "bag:linear"],
         n_folds=2,
         n_repeats=2,
         n_copies=1,
         n_words=8,
         on_progress=lambda *said: done.append(said),
     )
-    assert [result.method for result in results] == ["profile", "tokens", "bag:linear"]
+    assert [result.method for result in results] == ["ours", "tokens", "bag:linear"]
     for result in results:
         assert result.true == tuple(frame.label for frame in frames) * 2
         np.testing.assert_allclose(result.probabilities.sum(axis=1), 1.0)
@@ -97,7 +97,7 @@ def test_labels_that_say_nothing_about_new_rooms_are_no_better_than_chance(
         for f in frames
     ]
     (result,) = cross_validate_groups(
-        dealt, ["profile"], n_folds=5, n_repeats=1, n_copies=0, n_words=8
+        dealt, ["ours"], n_folds=5, n_repeats=1, n_copies=0, n_words=8
     )
     assert result.scores.accuracy < 0.75
 
@@ -112,7 +112,7 @@ def test_training_keeps_rooms_to_test_with(frames: list[LabelledFrame]) -> None:
 
 def test_what_cannot_be_divided_is_refused(frames: list[LabelledFrame]) -> None:
     with pytest.raises(DatasetError, match="found 1 classes in 5 groups, expected at least two"):
-        cross_validate_groups(frames[:15], ["profile"])
+        cross_validate_groups(frames[:15], ["ours"])
     with pytest.raises(DatasetError, match="method 'magic': found none, expected some of ours"):
         cross_validate_groups(frames, ["magic"])
 

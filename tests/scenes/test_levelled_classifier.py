@@ -27,7 +27,10 @@ def frames(seed, n=24):
 def scenes():
     seen = list(frames(0))
     network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
-    views, labels = [levelled_features(frame) for frame, _ in seen], [label for _, label in seen]
+    views, labels = (
+        [levelled_features(frame, with_shapes=True) for frame, _ in seen],
+        [label for _, label in seen],
+    )
     return LevelledClassifier.fit(views, labels, n_words=30, network=network)
 
 
@@ -41,11 +44,11 @@ def test_unseen_views_are_labelled(scenes):
 
 
 def test_words_can_be_left_out():
-    views = [levelled_features(frame, with_shapes=False) for frame, _ in frames(0)]
+    views = [levelled_features(frame) for frame, _ in frames(0)]
     assert all(item.shapes.shape == (0, N_SHAPE_VALUES) for item in views)
     network = MlpEnsemble(n_hidden=16, n_networks=1, n_steps=200, n_folds=2)
     labels = [label for _, label in frames(0)]
-    fitted = LevelledClassifier.fit(views, labels, n_words=0, network=network)
+    fitted = LevelledClassifier.fit(views, labels, network=network)
     again = LevelledClassifier.from_arrays(fitted.manifest(), fitted.arrays())
     assert "words" not in fitted.arrays()
     for frame, label in frames(1, n=6):
@@ -137,6 +140,16 @@ def test_labels_are_as_probable_as_they_are_right(n_right):
     temperature, _ = fit_certainty(logits.astype(np.float32), truth, profiles(1000), np.ones(1000))
     p = np.exp(logits / temperature)
     assert (p.max(axis=1) / p.sum(axis=1)).mean() == pytest.approx(n_right / 1000, abs=1e-3)
+
+
+def test_certainty_has_no_more_digits_than_it_is_known_to():
+    rng = np.random.default_rng(0)
+    logits, truth = rng.normal(size=(500, 4)).astype(np.float32), rng.integers(0, 4, 500)
+    temperature, warming = fit_certainty(
+        logits, truth, profiles(500, rng.random(500)), np.ones(500)
+    )
+    for value in (temperature, warming.assumed_floor, warming.empty_view):
+        assert value == float(f"{value:.4g}")
 
 
 def test_scenes_of_no_class_lower_the_certainty_of_views_like_theirs_alone():

@@ -55,6 +55,13 @@ def test_a_model_labels_unseen_frames():
     assert model.trained_on == "boxes"
 
 
+def test_models_are_of_height_profiles_alone():
+    described = describe_frames(frames(n=20), PARAMS, levelled=True)
+    assert all(len(item.shapes) == 0 for item in described.levelled)
+    model = fit_model(described, PARAMS, n_words=12, trained_on="boxes")
+    assert model.levelled_classifier.vocabulary is None
+
+
 def test_a_bag_at_hand_spares_the_labeller_describing_the_frame():
     model = train_model(frames(), PARAMS, n_words=12, trained_on="boxes", levelled=False)
     box, cross = (item.frame for item in frames(first=100, n=2))

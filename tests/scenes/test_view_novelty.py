@@ -3,7 +3,7 @@ import pytest
 
 from slam_bof.scenes import SceneFilter, SceneFilterParams
 from slam_bof.scenes.hmm_smoother import smooth
-from slam_bof.scenes.view_novelty import novelties
+from slam_bof.scenes.view_novelty import novelties, pooled
 from slam_bof.types import Scene
 
 CLASSES = ("bath", "kitchen", "office")
@@ -51,6 +51,24 @@ def test_repetition_makes_no_certainty(n):
     for found in (smoothed, live):
         assert found["rest"] == pytest.approx(0.5, abs=0.01)  # as certain as one view
         assert found["walk"] > found["rest"]
+
+
+@pytest.mark.parametrize(
+    ("n_new", "n_independent"), [(0.3, 1.0), (1.0, 1.0), (3.5, 1.75), (1e9, 2.5)]
+)
+def test_views_count_as_a_cluster_sample(n_new, n_independent):
+    """Views that are all the same, by 2:1, make the scene as likely as so many independent ones."""
+    logs = 40.0 * np.log([2.0, 1.0])
+    p = pooled(logs, np.array(n_new), np.array(40.0), 0.4)
+    assert p[0] / p[1] == pytest.approx(2.0**n_independent)
+
+
+def test_an_odometry_that_leaps_makes_no_certainty():
+    """Each view stands far from the one before, as if all were of different places."""
+    axes, positions_m = np.tile([0.0, 0.0, 1.0], (30, 1)), np.outer(np.arange(30), [0.4, 0.0, 0.0])
+    found = smooth([UNSURE] * 30, 0.1 * np.arange(30), positions_m, PARAMS, axes=axes)
+    most = UNSURE.probabilities ** (1.0 / PARAMS.view_correlation)
+    assert max(scene.probability for scene in found) < most[0] / most.sum()
 
 
 def test_a_new_segment_of_odometry_has_seen_nothing():

@@ -210,7 +210,8 @@ def test_a_saved_map_may_have_keys_of_what_was_removed():
     search = "{by: both, n_voted: 200, n_compared: 40, constellation_weight: 3.0, index: {}}"
     recogniser = f"{{n_plans: 100, plan_weight: 0.5, n_aligned: 7, search: {search}}}"
     text = f"loops: {{recogniser: {recogniser}}}"
-    saved = config.parse_saved(f"{text}\ntracking: {{spread_search: true}}", "map.db")
+    removed = "tracking: {spread_search: true}\nlabels: {new_view_weight: 0.15}"
+    saved = config.parse_saved(f"{text}\n{removed}", "map.db")
     assert saved.loops.recogniser.n_aligned == 7
     assert saved.loops.recogniser.search.n_compared == 40
     with pytest.raises(ConfigError, match=r"loops\.recogniser\.search\.by"):
