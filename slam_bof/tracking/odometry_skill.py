@@ -16,7 +16,7 @@ FORGETTING = 0.2
 MAX_ERROR_SHARE = 0.5
 """If errors have nothing to do with the motion, odometry errs by more than the camera moves where
 its squared errors are a larger share than this of its squared steps."""
-MIN_ERROR = 0.05
+MIN_ERROR = 0.1
 """Odometry that errs by less than this in a step, in m or rad, does not slip. It may err by more
 than a camera moves that stands still, and is needed once that begins to move."""
 OUTLIER = 4.0
