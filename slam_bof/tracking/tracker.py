@@ -8,7 +8,8 @@ If the frame agrees neither with the keyframe nor with the frame before it, not 
 around the pose, and what the views show contradicts odometry, the track is lost: after a quick
 turn, behind a covered lens, or because odometry was restarted. If the views merely have little in
 common, odometry is believed. A lost track resumes at a frame that agrees with the last keyframe
-after all; or a new segment begins once two frames in a row agree with each other.
+after all; or a new segment begins once two frames in a row agree with each other. Odometry that
+is given with its covariance is believed while the camera sees nothing.
 
 While the track is followed, odometry is weighted against alignment along each direction
 (``odometry_fusion``), because from frame to frame it may be the more precise of the two.
@@ -104,6 +105,9 @@ class Tracker:
         can_trust = self.trusts_odometry and self._finder.sees_enough and not leaps
         if can_trust and not (found and found.is_followed):
             found = Found(None, float("nan"), True)
+        elif covariance is not None and not self._finder.sees_enough and not leaps:
+            # Nothing contradicts odometry that says itself how precise it is.
+            found = Found(None, float("nan"), True, open_axes=np.eye(6))
         is_lost = found is None
         if is_lost and not self._is_lost and self._has_keyframe:
             self.n_lost += 1

@@ -326,3 +326,24 @@ def test_after_a_relocalisation_trusted_odometry_does_not_undo_it(turn):
         for k in range(6, N_FRAMES)
         if not tracks[k].is_lost
     )
+
+
+@pytest.mark.parametrize("is_known", [False, True])
+def test_odometry_of_known_covariance_is_believed_while_nothing_is_seen(is_known):
+    case = DegenerateCase("room", sensor="kinect", rate_hz=10.0)
+    poses, tracker, tracks = case.poses(), Tracker(), []
+    covariance = 1e-8 * np.eye(6) if is_known else None
+    blind = [9, 10, 11]
+    for k, frame in enumerate(list(render_case(case))[:20]):
+        if k in blind:
+            frame = replace(frame, depth=np.zeros_like(frame.depth))
+        tracks.append(tracker.track(frame, se3.inverse(poses[0]) @ poses[k], covariance))
+        if k % 4 == 0:
+            tracker.keep()
+    lost = [k for k, track in enumerate(tracks) if track.is_lost]
+    assert lost == ([] if is_known else blind)
+    assert {track.segment for track in tracks} == {0}
+    assert (tracks[9].open_axes.shape[1] == 6) == is_known
+    if is_known:
+        assert errors_m(tracks, poses[:20]).max() < 0.001
+        assert (np.diag(tracks[11].step_covariance) > np.diag(tracks[9].step_covariance)).all()
