@@ -12,7 +12,7 @@ more (``odometry_skill``), the camera is expected to stand still instead.
 
 Some sensors err alike over large parts of a view, as that of a phone does; their alignments are
 less precise than their points tell. That shows where odometry moves steadily and alignment does
-not.
+not (``step_steadiness``).
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ import numpy as np
 
 from slam_bof.geometry import se3
 from slam_bof.tracking.odometry_skill import OdometrySkill
+from slam_bof.tracking.step_steadiness import StepSteadiness
 from slam_bof.types import Array, Pose
 
 __all__ = ["OdometryFusion"]
 
 FORGETTING = 0.05
 """Weight of the newest frame in what is known of odometry: about a second of a camera."""
-FORGETTING_STEADINESS = 0.01
-"""The same of how steadily odometry and alignment move."""
 N_REFERENCE = 6
 """Frames after which it is known what is usual."""
 OUTLIER = 5.0
@@ -42,13 +41,6 @@ Smaller differences are rather those of wrong alignments, or of clocks and calib
 MARGIN = 2.0
 """Odometry that errs in a step by no more than this multiple of an alignment's variance is left
 alone."""
-MIN_STEADINESS = 1.0
-"""Odometry is the steadier of the two if the mean squares of changes from step to step differ by
-this multiple of that of differences between odometry and alignment. If odometry errs, it is
-negative, or near zero if odometry follows the motion too little."""
-MAX_ALIGNMENT_VARIANCE = 1000.0
-"""Differences of more than this, in terms of what the points of an alignment tell, are
-odometry's."""
 RESTART_VARIANCE = 0.1**2
 """Of a pose after a restart, in rad^2 and m^2."""
 MIN_INFORMATION = 1e-6
@@ -69,17 +61,15 @@ class OdometryFusion:
         self.covariance: Array = np.zeros((6, 6))
         self._T_track_odometry: Pose = np.eye(4)
         self._is_aligned = False  # with this keyframe, any frame
-        self._step_covariance = np.zeros((6, 6))  # of odometry, as last learnt
         self._last: Array | None = None  # (2, 4, 4) of the last frame, by odometry and as fused
         self._is_last_aligned = False
-        self._skill = OdometrySkill()
-        self._steps: Array | None = None  # (2, 6) to it by odometry and by alignment
-        # In terms of the variance that the points of an alignment tell along each direction:
+        self._step_covariance = np.zeros((6, 6))  # of odometry, as last learnt
         self._n = 0
-        self._squares = np.ones(6)  # of odometry's step and alignment, the best direction first
-        self._n_steps = 0
-        self._difference = 0.0  # mean square between odometry and alignment
-        self._unsteadiness = 0.0  # mean square change of step, of alignment less odometry's
+        self._squares = np.ones(6)
+        """Mean squares of odometry's step and alignment along principal directions, the best one
+        first, in terms of the variance that the points of an alignment tell."""
+        self._skill = OdometrySkill()
+        self._steadiness = StepSteadiness()
 
     def restart(self, T_odometry: Pose, T_track: Pose) -> None:
         """Take a frame's pose (4, 4) for what it is, and odometry's steps from there on."""
@@ -98,14 +88,11 @@ class OdometryFusion:
             "T_track_odometry": self._T_track_odometry.tolist(),
             "last": None if self._last is None else self._last.tolist(),
             "is_last_aligned": self._is_last_aligned,
-            "steps": None if self._steps is None else self._steps.tolist(),
             "skill": self._skill.state(),
             "n": self._n,
             "squares": self._squares.tolist(),
             "step_covariance": self._step_covariance.tolist(),
-            "n_steps": self._n_steps,
-            "difference": self._difference,
-            "unsteadiness": self._unsteadiness,
+            **self._steadiness.state(),
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -114,16 +101,14 @@ class OdometryFusion:
         self._T_track_odometry = np.array(state["T_track_odometry"])
         if "squares" not in state:
             return  # a map that was saved before directions were weighed one by one
-        last, steps = state["last"], state["steps"]
+        last = state["last"]
         self._last = None if last is None else np.array(last)
         self._is_last_aligned = state.get("is_last_aligned", last is not None)
-        self._steps = None if steps is None else np.array(steps)
         if "skill" in state:  # else it was saved before these were known
             self._skill.restore(state["skill"])
             self._step_covariance = np.array(state["step_covariance"])
-        self._n, self._n_steps = state["n"], state["n_steps"]
-        self._squares = np.array(state["squares"])
-        self._difference, self._unsteadiness = state["difference"], state["unsteadiness"]
+        self._n, self._squares = state["n"], np.array(state["squares"])
+        self._steadiness.restore(state)
 
     def predict(self, T_odometry: Pose) -> Pose:
         """Return the pose (4, 4) of a frame before it is aligned.
@@ -131,7 +116,11 @@ class OdometryFusion:
         That is where odometry has it, or that of the last frame where odometry tells nothing and
         moves less steadily than alignment.
         """
-        if self._last is not None and self._unsteadiness < 0.0 and self._skill.is_none:
+        if (
+            self._last is not None
+            and self._skill.is_none
+            and self._steadiness.alignment_is_steadier
+        ):
             return np.asarray(self._last[1])
         return self._T_track_odometry @ T_odometry
 
@@ -165,34 +154,29 @@ class OdometryFusion:
         T_predicted = self.predict(T_odometry)
         whiten, unwhiten = _whitening(information)
         innovation = whiten @ se3.log(se3.inverse(T_predicted) @ T_aligned)
-        n = len(innovation)
-        self._compare_steps(T_odometry, T_aligned, whiten, innovation)
-        variance = self._alignment_variance()
+        if len(innovation) > 0 and self._last is not None and self._is_last_aligned:
+            steps = se3.log(se3.inverse(self._last) @ np.stack([T_odometry, T_aligned]))
+            self._steadiness.learn(steps, whiten, innovation)
+        else:
+            self._steadiness.interrupt()
+        variance = self._steadiness.alignment_variance
         is_given = step_covariance is not None
         if step_covariance is None:
             before = whiten @ self.covariance @ whiten.T
             of_step = self._learn(innovation, np.diag(before), variance)
             step_covariance = self._step_covariance = (unwhiten * of_step) @ unwhiten.T
+            self._learn_skill(T_odometry, T_aligned, is_held=len(innovation) == 6)
         covariance = self.covariance + step_covariance
-        expected = whiten @ covariance @ whiten.T + variance * np.eye(n)
+        expected = whiten @ covariance @ whiten.T + variance * np.eye(len(innovation))
         gain = np.linalg.solve(expected, whiten @ covariance).T
-        if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * n:
-            # Where nothing else has been aligned with this keyframe, it may be odometry that holds.
-            share = np.trace(whiten @ gain) / n
-            if is_given:
-                is_far = bool(np.linalg.norm(unwhiten @ innovation) > SLIP_GIVEN)
-                can_slip = self._is_aligned and is_far
-            else:
-                can_slip = self._is_aligned or self._n <= N_REFERENCE
-            is_slip = can_slip or share > 0.5
+        if innovation @ np.linalg.solve(expected, innovation) > OUTLIER**2 * len(innovation):
+            share = np.trace(whiten @ gain) / len(innovation)
+            size = float(np.linalg.norm(unwhiten @ innovation))
+            is_slip = share > 0.5 or self._can_slip(size, is_given=is_given)
             gain = unwhiten if is_slip else np.zeros_like(gain)
         self._is_aligned = True
         self.covariance = covariance - gain @ whiten @ covariance
         T_fused = T_predicted @ se3.exp(gain @ innovation)
-        if self._last is not None and n == 6 and not is_given:
-            step = se3.log(se3.inverse(self._last[0]) @ T_odometry)
-            error = se3.log(se3.inverse(self._T_track_odometry @ T_odometry) @ T_aligned)
-            self._skill.learn(step, error)
         self._T_track_odometry = _rigid(T_fused @ se3.inverse(T_odometry))
         self._set_last(T_odometry, T_fused, is_aligned=True)
         return np.asarray(T_fused)
@@ -201,7 +185,24 @@ class OdometryFusion:
         self._last = np.stack([T_odometry, T_track])
         self._is_last_aligned = is_aligned
         if not is_aligned:
-            self._steps = None
+            self._steadiness.interrupt()
+
+    def _can_slip(self, size: float, *, is_given: bool) -> bool:
+        """Return whether it is odometry that is wrong where it differs by far from an alignment.
+
+        Where nothing else has been aligned with this keyframe, it may be odometry that holds.
+        """
+        if is_given:
+            return self._is_aligned and size > SLIP_GIVEN
+        return self._is_aligned or self._n <= N_REFERENCE
+
+    def _learn_skill(self, T_odometry: Pose, T_aligned: Pose, *, is_held: bool) -> None:
+        """Learn how far odometry errs, from a frame that is held in all directions."""
+        if self._last is None or not is_held:
+            return
+        step = se3.log(se3.inverse(self._last[0]) @ T_odometry)
+        error = se3.log(se3.inverse(self._T_track_odometry @ T_odometry) @ T_aligned)
+        self._skill.learn(step, error)
 
     def _learn(self, innovation: Array, expected: Array, variance: float) -> Array:
         """Learn from a whitened innovation (n,); return the variances (n,) of odometry's step.
@@ -217,37 +218,6 @@ class OdometryFusion:
             found = np.minimum(found, OUTLIER**2 * np.maximum(known, variance))
         self._squares = np.append(known + FORGETTING * (found - known), self._squares[n:])
         return np.maximum(self._squares[:n] - (1.0 + MARGIN) * variance, 0.0)
-
-    def _compare_steps(
-        self, T_odometry: Pose, T_aligned: Pose, whiten: Array, innovation: Array
-    ) -> None:
-        """Learn how steadily odometry and alignment move, if the last frame was aligned too."""
-        before, self._steps = self._steps, None
-        if self._last is None or not self._is_last_aligned or len(whiten) == 0:
-            return
-        moved = se3.inverse(self._last) @ np.stack([T_odometry, T_aligned])
-        self._steps = se3.log(moved)
-        if before is None:
-            return
-        self._n_steps += 1
-        weight = max(FORGETTING_STEADINESS, 1.0 / self._n_steps)
-        changes = np.square((self._steps - before) @ whiten.T).mean(axis=1)
-        difference, unsteadiness = float(np.mean(innovation**2)), float(changes[1] - changes[0])
-        if self._n_steps > N_REFERENCE:
-            most = OUTLIER**2 * self._difference
-            difference = min(difference, most)
-            unsteadiness = float(np.clip(unsteadiness, -2.0 * most, 2.0 * most))
-        self._difference += weight * (difference - self._difference)
-        self._unsteadiness += weight * (unsteadiness - self._unsteadiness)
-
-    def _alignment_variance(self) -> float:
-        """Return the variance of an alignment in terms of what its points tell."""
-        is_steady = (
-            self._n_steps > N_REFERENCE
-            and self._difference < MAX_ALIGNMENT_VARIANCE
-            and self._unsteadiness > MIN_STEADINESS * self._difference
-        )
-        return max(self._difference, 1.0) if is_steady else 1.0
 
 
 def _whitening(information: Array) -> tuple[Array, Array]:
