@@ -150,7 +150,12 @@ def _advice(found: Calibration, depth_scale: float, odometry: Path | None) -> li
         advice.append(
             f"Depth is {abs(ms):.0f} ms {'behind' if ms < 0 else 'ahead of'} odometry's clock: set "
             f"--set odometry.options.offset_s={-found.time_offset_s:.4f}"
-            + ("" if odometry else " for a recorded odometry with these poses")
+            + (
+                ""
+                if odometry
+                else " for a recorded odometry with these poses, and "
+                f"--set groundtruth_offset_s={-found.time_offset_s:.4f} to judge a run by them"
+            )
         )
     if abs(found.depth_scale - 1.0) > max(MIN_SCALE, SURE * found.depth_scale_sigma):
         advice.append(

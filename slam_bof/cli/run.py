@@ -331,5 +331,8 @@ def _show(result: RunResult, *, as_json: bool) -> None:
         return
     rows = [(what, result.metrics.get(key), unit) for what, key, unit in SUMMARY]
     print_table(("metric", "value", "unit"), rows, title=str(result.metrics["sequence"]))
+    offset_s = result.metrics.get("groundtruth_offset_s")
+    if offset_s:
+        typer.echo(f"Judged by true poses with {offset_s} s added to their time stamps")
     typer.echo(f"Files: {result.folder}")
     typer.echo(f"Report: {result.folder / 'report.html'}")

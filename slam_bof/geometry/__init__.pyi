@@ -50,6 +50,7 @@ from .registration_quality import (
     reject as reject,
 )
 from .trajectory import (
+    delayed as delayed,
     nearest_stamps as nearest_stamps,
     read_kitti as read_kitti,
     read_tum as read_tum,

@@ -20,6 +20,7 @@ from slam_bof.geometry import se3
 from slam_bof.types import Array, Trajectory
 
 __all__ = [
+    "delayed",
     "nearest_stamps",
     "read_kitti",
     "read_tum",
@@ -34,6 +35,40 @@ logger = logging.getLogger(__name__)
 TOLERANCE = 1e-2
 """Largest deviation of the norm of a quaternion from 1. Files may have few digits, so quaternions
 are normalised."""
+
+
+MAX_GAP_S = 0.25
+"""Poses farther apart than this are not interpolated."""
+
+
+def delayed(trajectory: Trajectory, offset_s: float) -> Trajectory:
+    """Return the poses at the same times, once ``offset_s`` is added to the time stamps of all.
+
+    Poses are interpolated on the geodesic between the two next to that time. They are unknown (NaN)
+    before the first and after the last one, and where the two are more than 0.25 s apart.
+
+    Examples
+    --------
+    >>> moving = se3.exp(np.array([[0, 0, 0, x, 0, 0] for x in (0.0, 1.0, 2.0)]))
+    >>> late = delayed(Trajectory(np.array([0.0, 0.1, 0.2]), moving), 0.025)
+    >>> late.poses[:, 0, 3].round(2).tolist()
+    [nan, 0.75, 1.75]
+    """
+    stamps_s, poses = trajectory.stamps_s, trajectory.poses
+    if offset_s == 0.0 or len(stamps_s) == 0:
+        return trajectory
+    asked_s = stamps_s - offset_s
+    after = np.clip(np.searchsorted(stamps_s, asked_s), 1, max(len(stamps_s) - 1, 1))
+    made = np.full_like(poses, np.nan)
+    if len(stamps_s) > 1:
+        gaps_s = stamps_s[after] - stamps_s[after - 1]
+        fraction = (asked_s - stamps_s[after - 1]) / gaps_s
+        known = (fraction >= 0.0) & (fraction <= 1.0) & (gaps_s <= MAX_GAP_S)
+        known &= np.isfinite(poses[after]).all(axis=(1, 2))
+        known &= np.isfinite(poses[after - 1]).all(axis=(1, 2))
+        ends = after[known]
+        made[known] = se3.interpolate(poses[ends - 1], poses[ends], fraction[known, None])
+    return Trajectory(stamps_s, made)
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

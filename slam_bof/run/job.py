@@ -10,6 +10,7 @@ from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry
 from slam_bof.datasets import find_doubts, first_frame
+from slam_bof.geometry import delayed
 from slam_bof.maps import finish_session, restore_session
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.run.logging_observer import LoggingObserver
@@ -161,6 +162,7 @@ def _finish(
     first = closer.map.first_keyframe
     smoothed, rooms = finish_session(closer, store, session, config, warn=job.observer.on_warning)
     scenes = dataset.scenes()
+    groundtruth = dataset.groundtruth()
     frame_indices = [int(result.indices[k.frame_index]) for k in result.keyframes]
     return RunRecord(
         dataset=dataset,
@@ -170,7 +172,8 @@ def _finish(
         candidates=of_session(store.candidates(), range(first, len(closer.map.keyframes))),
         smoothed=smoothed[first:],
         n_rooms=len(rooms),
-        groundtruth=dataset.groundtruth(),
+        groundtruth=groundtruth and delayed(groundtruth, config.groundtruth_offset_s),
+        groundtruth_offset_s=config.groundtruth_offset_s if groundtruth else None,
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
         with_color=job.with_color,
         z_up=job.z_up,

@@ -37,6 +37,7 @@ def compute_metrics(record: RunRecord) -> Metrics:
         "dataset": record.dataset.name,
         "sequence": record.dataset.sequence,
         **count_metrics(result, record.closer, record.candidates),
+        "groundtruth_offset_s": record.groundtruth_offset_s,
         **trajectory_metrics(result, record.live, record.groundtruth),
         **uncertainty_metrics(result, record.closer, record.groundtruth),
         **scene_metrics(result, record.smoothed, record.true_scenes),

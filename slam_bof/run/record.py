@@ -32,6 +32,8 @@ class RunRecord:
     groundtruth, true_scenes
         The true pose of each frame of the sequence, and the true label of each keyframe; None
         where the data set has none.
+    groundtruth_offset_s
+        Time that was added to the time stamps of the true poses, None without true poses.
     with_color
         Whether ``map.ply`` may have the colour of the data set.
     z_up
@@ -52,6 +54,7 @@ class RunRecord:
     smoothed: Sequence[Scene | None]
     n_rooms: int
     groundtruth: Trajectory | None
+    groundtruth_offset_s: float | None
     true_scenes: Sequence[str] | None
     with_color: bool
     z_up: bool

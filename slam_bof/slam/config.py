@@ -143,6 +143,11 @@ class Config(Params):
         description="Direction of gravity in the odometry frame. The default is right if the "
         "first camera is level.",
     )
+    groundtruth_offset_s: float = Field(
+        0.0,
+        description="Time that is added to the time stamps of true poses before errors are "
+        "measured by them, if their clock differs from that of the depth images.",
+    )
     cloud: PointParams = Field(
         PointParams(stride=4, max_range_m=4.0),
         description="Point clouds for proximity candidates and for verifiers of point clouds.",

@@ -13,6 +13,7 @@ Metrics = Mapping[str, str | int | float | None]
 
 TABLES: dict[str, dict[str, tuple[str, str]]] = {
     "Trajectory": {
+        "groundtruth_offset_s": ("time added to the stamps of true poses", "{:.4f} s"),
         "ate_odometry_m": ("ATE of odometry alone (RMSE)", "{:.4f} m"),
         "ate_live_m": ("ATE of poses as they were known at the time (RMSE)", "{:.4f} m"),
         "ate_m": ("ATE with loops (RMSE)", "{:.4f} m"),

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from slam_bof.cli.app import app
 from slam_bof.evaluation import FrameMotion, calibrate, measure_motions
-from slam_bof.geometry import se3
+from slam_bof.geometry import delayed, se3
 from slam_bof.types import SensorParams, Trajectory
 
 
@@ -44,6 +44,17 @@ def test_clock_scale_and_axes_are_found(offset_s, scale, tilt_deg):
     assert (np.abs(found.tilt_rad - tilt_rad) < 4 * found.tilt_sigma_rad + 1e-3).all()
     assert found.time_offset_sigma_s < 0.002
     assert found.depth_scale_sigma < 0.005
+
+
+@pytest.mark.parametrize("offset_s", [-0.05, 0.06])
+def test_poses_that_are_moved_by_what_was_found_are_by_the_clock_of_depth(offset_s):
+    motions, odometry = wave(offset_s, 1.0, np.zeros(3))
+    moved = delayed(odometry, -calibrate(motions, odometry).time_offset_s)
+    known = np.isfinite(moved.poses).all(axis=(1, 2))
+    assert known.sum() >= len(known) - 2
+    again = calibrate(motions[2:-2], Trajectory(moved.stamps_s[known], moved.poses[known]))
+    assert abs(again.time_offset_s) < 4 * again.time_offset_sigma_s
+    assert abs(again.time_offset_s) < 0.1 * abs(offset_s)
 
 
 def test_standard_deviations_are_those_of_the_errors():

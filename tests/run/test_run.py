@@ -56,6 +56,21 @@ def test_a_run_leaves_everything(finished):
     assert json.loads((finished.folder / "metrics.json").read_text()) == finished.metrics
 
 
+def test_true_poses_of_another_clock_are_moved_before_errors_are_measured(
+    sequence, finished, tmp_path
+):
+    """Three frames late, at 60 degrees a second."""
+    assert finished.metrics["groundtruth_offset_s"] == 0.0
+    late = run(sequence, tmp_path, "groundtruth_offset_s=0.1")
+    assert late.metrics["groundtruth_offset_s"] == 0.1
+    assert late.metrics["covisibility_precision"] < 0.8 < finished.metrics["covisibility_precision"]
+    moved = read_tum(late.folder / "trajectory_groundtruth_tum.txt")
+    truth = read_tum(finished.folder / "trajectory_groundtruth_tum.txt")
+    assert len(moved) == len(truth) - 3
+    np.testing.assert_allclose(moved.poses, truth.poses[:-3], atol=1e-6)
+    assert "time added to the stamps of true poses" in (late.folder / "report.html").read_text()
+
+
 def test_it_finds_true_loops_and_they_help(finished):
     metrics = finished.metrics
     assert metrics["n_frames"] == 90
