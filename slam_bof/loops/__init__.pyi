@@ -8,6 +8,7 @@ from .candidate_checks import (
 from .covisibility import (
     CovisibilityParams as CovisibilityParams,
     choose_covisible as choose_covisible,
+    find_covisible as find_covisible,
 )
 from .decisions import (
     VerificationParams as VerificationParams,

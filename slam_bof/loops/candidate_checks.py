@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from slam_bof.core import GrowingArray
 from slam_bof.loops.params import LoopParams
+from slam_bof.loops.spread_maxima import spread_maxima
 from slam_bof.types import Candidate, CandidateSource, Decision, Keyframe, Pose, Scene
 
 __all__ = ["CandidateChecks", "LoopCounts", "RankedCandidates", "find_maxima", "scene_agreement"]
@@ -207,11 +208,9 @@ def scene_agreement(a: Scene | None, b: Scene | None) -> float:
 
 def find_maxima(scores: NDArray[np.floating], params: LoopParams) -> list[int]:
     """Return up to ``top_k`` ids with the highest scores above 0, none close to a better one."""
-    left = scores.astype(np.float64)
-    chosen: list[int] = []
-    while len(chosen) < params.top_k and len(left) and left.max() > 0.0:
-        best = int(left.argmax())
-        chosen.append(best)
-        apart = params.max_index_difference
-        left[max(0, best - apart) : best + apart + 1] = 0.0
-    return chosen
+    return spread_maxima(
+        np.arange(len(scores)),
+        scores,
+        max_n=params.top_k,
+        separation=params.max_index_difference + 1,
+    )

@@ -15,7 +15,6 @@ from slam_bof.geometry import (
     points_camera,
     restore_frame,
     se3,
-    view_overlap,
     view_stride,
 )
 from slam_bof.loops import (
@@ -23,7 +22,7 @@ from slam_bof.loops import (
     LoopVerification,
     RankedCandidates,
     Verified,
-    choose_covisible,
+    find_covisible,
     make_loop_detector,
 )
 from slam_bof.scenes import model as models
@@ -38,7 +37,6 @@ from slam_bof.types import (
     Array,
     Bag,
     Candidate,
-    CandidateSource,
     Decision,
     DepthFrame,
     EdgeKind,
@@ -52,8 +50,6 @@ from slam_bof.types import (
 __all__ = ["KeyframeMap"]
 
 NO_WORDS = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
-N_OVERLAP_POINTS = 200
-"""Approximate number of points used to measure the overlap of two keyframes."""
 
 
 class KeyframeMap:
@@ -247,13 +243,9 @@ class KeyframeMap:
             points = points_camera(frame, self._cloud_params(frame))
             proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
             T_map_camera, components = self.graph.T_map_camera, self.graph.components.in_use()
-            covisible = (
-                []
-                if is_full
-                else self._find_covisible(keyframe, frame, points, T_map_camera, proposed)
-            )
+            covisible = [] if is_full else self._find_covisible(frame, points)
             self._verification.add(frame, points)
-            candidates = found.candidates + covisible
+            candidates = found.candidates + [c for c in covisible if c.match_id not in proposed]
             aligned = self._verification.align(candidates, T_map_camera, found.guesses)
             verified = self._verification.decide(
                 candidates,
@@ -340,33 +332,14 @@ class KeyframeMap:
             return cloud
         return cloud.model_copy(update={"stride": saved_stride})
 
-    def _find_covisible(
-        self,
-        keyframe: Keyframe,
-        frame: DepthFrame,
-        points: Array,
-        T_map_camera: Array,
-        found: set[int],
-    ) -> list[Candidate]:
-        """Return keyframes, without ``found``, that see the same surfaces according to the map."""
-        p = self._config.covisibility
-        stride = max(1, len(points) // N_OVERLAP_POINTS)
-        components = self.graph.components.in_use()
-        ids = np.flatnonzero(components[:-1] == components[-1])
-        overlaps = view_overlap(
-            points[::stride], T_map_camera[-1], T_map_camera[ids], frame.intrinsics, p.max_range_m
+    def _find_covisible(self, frame: DepthFrame, points: Array) -> list[Candidate]:
+        """Return pairs of the newest keyframe with others that see the same surfaces."""
+        return find_covisible(
+            self.keyframes,
+            points,
+            frame.intrinsics,
+            self.graph.T_map_camera,
+            self.graph.components.in_use(),
+            self._config.covisibility,
+            min_age_s=self._config.loops.min_age_s,
         )
-        min_age_s = self._config.loops.min_age_s
-        return [
-            Candidate(
-                keyframe.id,
-                match_id,
-                CandidateSource.PROXIMITY,
-                EdgeKind.LOOP
-                if match_id < self.first_keyframe
-                or keyframe.stamp_s - self.keyframes[match_id].stamp_s >= min_age_s
-                else EdgeKind.COVISIBILITY,
-            )
-            for match_id in choose_covisible(ids, overlaps, p)
-            if match_id not in found
-        ]

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from slam_bof.geometry import se3, view_overlap
-from slam_bof.loops import CovisibilityParams, choose_covisible
-from slam_bof.types import Intrinsics
+from slam_bof.loops import CovisibilityParams, choose_covisible, find_covisible
+from slam_bof.types import Bag, CandidateSource, EdgeKind, Intrinsics, Keyframe
 
 CAMERA = Intrinsics(width=640, height=480, fx=585.0, fy=585.0, cx=320.0, cy=240.0)
 
@@ -71,3 +71,45 @@ def test_no_edges_when_turned_off_or_nothing_overlaps():
     ids = np.arange(5)
     assert choose_covisible(ids, np.full(5, 0.9), CovisibilityParams(max_edges=0)) == []
     assert choose_covisible(ids, np.full(5, 0.1), CovisibilityParams()) == []
+
+
+def test_pairs_are_loops_with_older_keyframes_and_other_sessions(wall):
+    """Five keyframes of one view: of another session, culled, old, young and the newest."""
+    nothing = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+    keyframes = [
+        Keyframe(k, k, stamp_s, np.eye(4), nothing, None, session=session)
+        for k, (stamp_s, session) in enumerate([(0.0, 0), (1.0, 1), (2.0, 1), (9.0, 1), (10.0, 1)])
+    ]
+    found = find_covisible(
+        keyframes,
+        wall,
+        CAMERA,
+        np.tile(np.eye(4), (5, 1, 1)),
+        np.array([0, -1, 0, 0, 0]),
+        CovisibilityParams(separation=1),
+        min_age_s=5.0,
+    )
+    assert [(c.query_id, c.match_id, c.kind) for c in found] == [
+        (4, 0, EdgeKind.LOOP),
+        (4, 2, EdgeKind.LOOP),
+        (4, 3, EdgeKind.COVISIBILITY),
+    ]
+    assert {c.source for c in found} == {CandidateSource.PROXIMITY}
+
+
+def test_a_keyframe_of_another_session_is_older_whatever_its_clock(wall):
+    nothing = Bag(np.empty(0, np.int32), np.empty(0, np.float32))
+    keyframes = [
+        Keyframe(k, k, stamp_s, np.eye(4), nothing, None, session=k)
+        for k, stamp_s in enumerate([100.0, 1.0])
+    ]
+    (pair,) = find_covisible(
+        keyframes,
+        wall,
+        CAMERA,
+        np.tile(np.eye(4), (2, 1, 1)),
+        np.zeros(2, np.int64),
+        CovisibilityParams(),
+        min_age_s=5.0,
+    )
+    assert pair.kind == EdgeKind.LOOP
