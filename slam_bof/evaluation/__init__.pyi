@@ -2,6 +2,9 @@ from .cost import (
     Cost as Cost,
     one_thread as one_thread,
 )
+from .group_methods import (
+    GROUP_METHODS as GROUP_METHODS,
+)
 from .holdout_training import (
     TrainedSceneModel as TrainedSceneModel,
     train_scene_model as train_scene_model,
@@ -56,7 +59,6 @@ from .scene_benchmark import (
     split_sunrgbd as split_sunrgbd,
 )
 from .scene_groups import (
-    GROUP_METHODS as GROUP_METHODS,
     cross_validate_groups as cross_validate_groups,
 )
 from .scene_methods import (
