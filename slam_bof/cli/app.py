@@ -33,6 +33,7 @@ from slam_bof.cli.show import show
 from slam_bof.cli.train import train
 from slam_bof.cli.version import print_version, version
 from slam_bof.cli.view import view
+from slam_bof.core import unwrap_interruption
 from slam_bof.errors import SlamBofError
 
 __all__ = ["app", "main"]
@@ -44,7 +45,8 @@ class OneLineErrors(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
-            return super().invoke(ctx)
+            with unwrap_interruption():
+                return super().invoke(ctx)
         except SlamBofError as error:
             fail(str(error), 1)
         except BrokenPipeError:
@@ -58,17 +60,6 @@ class OneLineErrors(TyperGroup):
             fail(f"{place}{error.strerror}", 1)
         except KeyboardInterrupt:
             fail("interrupted", INTERRUPTED)
-        except SystemError as error:
-            if not _is_interruption(error):
-                raise
-            fail("interrupted", INTERRUPTED)
-
-
-def _is_interruption(error: BaseException | None) -> bool:
-    """Return whether an error comes of Ctrl-C within C code, such as Numba's while it loads."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
-        error = error.__cause__
-    return error is not None
 
 
 def fail(message: str, code: int) -> None:

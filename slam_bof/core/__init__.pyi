@@ -22,6 +22,7 @@ from .files import (
     refuse_named_pipe as refuse_named_pipe,
 )
 from .images import decode_image as decode_image
+from .interruption import unwrap_interruption as unwrap_interruption
 from .native_libraries import (
     import_open3d as import_open3d,
     one_blas_thread as one_blas_thread,

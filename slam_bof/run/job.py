@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from slam_bof.core import StageClock, Usage, registry
+from slam_bof.core import StageClock, Usage, registry, unwrap_interruption
 from slam_bof.datasets import find_doubts, first_frame
 from slam_bof.geometry import delayed
 from slam_bof.maps import finish_session, restore_session
@@ -94,21 +94,20 @@ def run_job(
     doubts = find_doubts(job.dataset)
     for doubt in doubts:
         job.observer.on_warning(doubt)
-    with MapWriter(store) as writer:
-        odometry = None if is_new else store.odometry(session.id)
-        restore_session(closer, store, session, is_new=is_new)
-        slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
-        closer.journal = lambda record: writer.write(record, slam.odometry_state(record))
-        health = job.observer.health.saved_in(folder / "health.csv", len(closer.history))
-        with _resumable(folder, job), health:
-            result = slam.run(job.dataset, max_frames=job.max_frames, odometry=odometry)
-        if result.n_resumed:
-            logger.info(
-                "resumed after %d frames; the odometry ran again over %d of them",
-                result.n_resumed,
-                result.n_repeated,
-            )
     with _resumable(folder, job):
+        with MapWriter(store) as writer:
+            odometry = None if is_new else store.odometry(session.id)
+            restore_session(closer, store, session, is_new=is_new)
+            slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
+            closer.journal = lambda record: writer.write(record, slam.odometry_state(record))
+            with job.observer.health.saved_in(folder / "health.csv", len(closer.history)):
+                result = slam.run(job.dataset, max_frames=job.max_frames, odometry=odometry)
+            if result.n_resumed:
+                logger.info(
+                    "resumed after %d frames; the odometry ran again over %d of them",
+                    result.n_resumed,
+                    result.n_repeated,
+                )
         return _conclude(job, folder, store, session, result, started, doubts)
 
 
@@ -116,7 +115,8 @@ def run_job(
 def _resumable(folder: Path, job: Job) -> Iterator[None]:
     """Raise ``RunInterrupted`` for Ctrl-C."""
     try:
-        yield
+        with unwrap_interruption():
+            yield
     except KeyboardInterrupt:
         raise RunInterrupted(folder, job.observer.n_frames) from None
 
