@@ -38,6 +38,14 @@ class ProjectiveParams(RegistrationQualityParams):
         le=1,
         description="Largest share of points that may lie in front of what the other view sees.",
     )
+    min_agreement: float = Field(
+        0.1,
+        ge=-1,
+        le=1,
+        description="Smallest share of points that are inliers, less those that lie in front of "
+        "what the other view sees; the former is the smaller of both directions, the latter their "
+        "sum.",
+    )
     max_free_space_violation_global: float = Field(
         0.1,
         ge=0,
@@ -92,11 +100,13 @@ class ProjectiveVerifier:
             T = self._aligner.align(query, ids, np.tile(np.eye(4), (len(ids), 1, 1, 1)))
         else:
             T = self._aligner.refine(query, ids, T_match_query)
-        overlap, free_space_violation = self._aligner.inlier_ratio(query, ids, T)
-        limit = self.params.max_free_space_violation
+        overlap, violation = self._aligner.inlier_ratio(query, ids, T)
+        agreement = self._aligner.agreement(query, ids, T)
+        balance = agreement.inlier_ratio - agreement.free_space_violation
         if T_match_query is None:
-            free_space_violation = self._aligner.agreement(query, ids, T).free_space_violation
-            limit = self.params.max_free_space_violation_global
+            reasons = list(map(self._reason_against_found, agreement.free_space_violation))
+        else:
+            reasons = list(map(self._reason_against_guessed, violation, balance))
         pairs = self._aligner.surface_pairs(query, ids, T)
         verifications = [
             assess_registration(
@@ -108,7 +118,7 @@ class ProjectiveVerifier:
                 facing_query=pairs[k].facing_query,
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
-                reason_against=_reason_against(float(free_space_violation[k]), limit),
+                reason_against=reasons[k],
             )
             for k in range(len(ids))
         ]
@@ -116,6 +126,27 @@ class ProjectiveVerifier:
             self._without_open_directions(query, match_id, verification)
             for match_id, verification in zip(matches, verifications, strict=True)
         ]
+
+    def _reason_against_guessed(self, violation: float, balance: float) -> str:
+        """Return what speaks against an alignment from a guess, or an empty string.
+
+        ``violation`` is the share of the query's points that violate free space, ``balance`` that
+        of inliers less those of either view that do.
+        """
+        if violation > self.params.max_free_space_violation:
+            return _before_what_is_seen(violation)
+        if balance < self.params.min_agreement:
+            return f"agreement {balance:.2f} below {self.params.min_agreement:g}"
+        return ""
+
+    def _reason_against_found(self, violation: float) -> str:
+        """Return what speaks against an alignment without a guess, or an empty string.
+
+        ``violation`` is the share of points of both views that violate free space.
+        """
+        if violation > self.params.max_free_space_violation_global:
+            return _before_what_is_seen(violation)
+        return ""
 
     def _without_open_directions(
         self, query: int, match: int, verification: Verification
@@ -131,7 +162,5 @@ class ProjectiveVerifier:
         return replace(verification, information=information, n_open=axes.shape[1])
 
 
-def _reason_against(free_space_violation: float, limit: float) -> str:
-    if free_space_violation <= limit:
-        return ""
-    return f"{free_space_violation:.2f} of the points stand before what the other sees"
+def _before_what_is_seen(share: float) -> str:
+    return f"{share:.2f} of the points stand before what the other sees"

@@ -21,6 +21,10 @@ MIN_SPREAD = 0.02
 """Mean square of normals along a direction, below which it is their noise."""
 MAX_LEVERAGE = 10.0
 """A point whose normal is rare has at most this many times the weight of others."""
+VARIANCE_GROWTH = 0.1
+"""The variance of a point grows with its depth z in metres like 1 + this times z^2. That of a
+structured-light camera grows faster and that of a phone's smooth depth not at all, but its near
+walls are bent: where near points count for more than that, they outvote all others."""
 MIN_INFORMATION = 0.003
 """Steps along directions with a smaller share of the information are shortened."""
 MIN_PAIRS = 12
@@ -292,8 +296,8 @@ def _weights(pairs: Array, gate_m: float) -> Array:
         leverage = p * (a * p + d * q + e * r) + q * (b * q + f * r) + c * r * r
         off = 2.0 * pairs[k, 9] / gate_m
         doubt = 1.0 + off * off
-        far = 0.2 + 0.2 * pairs[k, 2] * pairs[k, 2]
-        weights[k] = min(leverage, MAX_LEVERAGE) / (doubt * doubt * far)
+        variance = 1.0 + VARIANCE_GROWTH * pairs[k, 2] * pairs[k, 2]
+        weights[k] = min(leverage, MAX_LEVERAGE) / (doubt * doubt * variance)
     total = 0.0
     for k in range(m):
         total += weights[k]

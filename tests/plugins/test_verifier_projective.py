@@ -54,6 +54,53 @@ def test_what_blocks_the_view_is_no_loop():
     assert verified.reason == "0.44 of the points stand before what the other sees"
 
 
+def test_a_query_that_looks_through_what_the_match_sees_is_no_loop():
+    """It sees half of what the match sees, and a metre behind the rest."""
+    wall = np.full((120, 160), 3.0, np.float32)
+    blocked = wall.copy()
+    blocked[:, :90] = 2.0
+    verifier = ProjectiveVerifier(ProjectiveParams(min_stiffness=0.0))
+    match, query = (DepthFrame(0.0, depth, CAMERA) for depth in (blocked, wall))
+    verified = verify(verifier, *prepare(verifier, query, match), np.eye(4))
+    assert verified.overlap > verifier.params.min_overlap
+    assert verified.reason == "agreement -0.13 below 0.1"
+
+
+def corner(T_world_camera, bend=0.0):
+    """A wall 0.8 m to the left, a floor, a back wall and a cupboard, in a camera (4, 4).
+
+    By ``bend`` the depth of the left wall is too long, as a share of it, for each metre beyond 2 m.
+    """
+    v, u = np.mgrid[:120, :160]
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)])
+    rays = np.tensordot(T_world_camera[:3, :3], rays, 1)
+    origin = T_world_camera[:3, 3, None, None]
+
+    def plane(axis, value):
+        depth_m = (value - origin[axis]) / np.where(rays[axis] == 0.0, 1e-9, rays[axis])
+        depth_m = np.where(depth_m > 0.0, depth_m, 100.0)
+        return depth_m, *(origin + depth_m * rays)
+
+    left = plane(0, -0.8)[0]
+    front, x, y, _ = plane(2, 2.9)
+    front = np.where((x > 0.3) & (x < 1.1) & (y > -0.4), front, 100.0)
+    side, _, y, z = plane(0, 0.3)
+    side = np.where((z > 2.9) & (z < 3.5) & (y > -0.4), side, 100.0)
+    depth_m = np.minimum.reduce([left, plane(1, 1.2)[0], plane(2, 4.0)[0], front, side])
+    bent = np.where(depth_m == left, 1.0 + bend * (depth_m - 2.0), 1.0)
+    return DepthFrame(0.0, (bent * depth_m).astype(np.float32), CAMERA)
+
+
+@pytest.mark.parametrize(("bend", "most_m"), [(0.0, 0.002), (0.05, 0.02), (0.1, 0.02)])
+def test_a_bent_wall_nearby_does_not_outvote_what_is_far(bend, most_m):
+    T_match_query = se3.exp(np.array([0.0, 0.03, 0.0, 0.05, 0.0, 0.05]))
+    verifier = ProjectiveVerifier()
+    views = prepare(verifier, corner(T_match_query, bend), corner(np.eye(4)))
+    verified = verify(verifier, *views, np.eye(4))
+    off = se3.log(se3.inverse(T_match_query) @ verified.T_match_query)
+    assert np.linalg.norm(off[3:]) < most_m
+
+
 def test_a_bare_wall_is_degenerate():
     wall = DepthFrame(0.0, np.full((120, 160), 2.0, np.float32), CAMERA)
     verifier = ProjectiveVerifier()
