@@ -32,6 +32,8 @@ DIRECTIONS = (0, 1), (1, 0), (1, 1), (1, -1)
 """Rows and columns from a pixel to four of its neighbours; the other four are opposite."""
 MAX_BEND = 3.0
 """Neighbours that are out of line by more than this times the median are not on one surface."""
+MIN_FILLING = 2
+"""A pixel without depth is filled in if at least as many pairs of its neighbours agree."""
 MAX_STEPS = 65535
 """Largest number of steps that the map can keep."""
 
@@ -64,7 +66,9 @@ def make_view(frame: DepthFrame) -> DepthView:
 
 def _make_view(frame: DepthFrame) -> DepthView:
     """Return the view of every second pixel of the grid of ``view_points``."""
-    depth_m = smooth_depth(frame.depth_in_range_m(view_stride(frame.intrinsics)))
+    depth_m = smooth_depth(
+        frame.depth_in_range_m(view_stride(frame.intrinsics)), frame.sensor.edge_ratio
+    )
     camera = _shrunk(frame.intrinsics, 2 * view_stride(frame.intrinsics))
     normals = surface_normals(_rays(camera) * depth_m[..., None], frame.sensor.edge_ratio)
     for shared in (depth_m, normals):
@@ -126,14 +130,17 @@ def _steps_per_m(sensor: SensorParams) -> int:
 
 
 @compiled
-def smooth_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
+def smooth_depth(depth_m: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArray[np.float32]:
     """Return every second pixel of a depth image, each smoothed by its eight neighbours.
 
     The inverse depth of a plane is linear in the image: the mean of two opposite neighbours is that
     of the pixel between them. So the mean over the pairs that are in line with it has less noise,
     and the plane does not move. How far they are off by noise is taken from the image, most of
-    whose pixels are on smooth surfaces; those that are off by more are at an edge. A pixel without
-    depth (0) remains so.
+    whose pixels are on smooth surfaces; those that are off by more are at an edge.
+
+    A pixel without depth (0) gets the mean over the pairs of opposite neighbours between which
+    there is no edge by ``edge_ratio``, which is that of ``SensorParams``; it remains 0 if there are
+    less than two.
     """
     height, width = depth_m.shape
     smooth = depth_m[::2, ::2].copy()
@@ -142,16 +149,24 @@ def smooth_depth(depth_m: NDArray[np.float32]) -> NDArray[np.float32]:
     for row in range(2, height - 1, 2):
         for column in range(2, width - 1, 2):
             here = depth_m[row, column]
-            for k in range(4 if here > 0.0 else 0):
+            around, n_around = 0.0, 0
+            for k in range(4):
                 down, right = DIRECTIONS[k]
                 one = depth_m[row + down, column + right]
                 other = depth_m[row - down, column - right]
-                if one > 0.0 and other > 0.0:
+                if not min(one, other) > 0.0:
+                    continue
+                if here > 0.0:
                     bend = 1.0 / one + 1.0 / other - 2.0 / here
                     bends[row // 2, column // 2, k] = bend
                     if k == 0:
                         noise[n_known] = abs(bend)
                         n_known += 1
+                elif abs(one - other) < edge_ratio * (1.0 + min(one, other)):
+                    around += 0.5 / one + 0.5 / other
+                    n_around += 1
+            if n_around >= MIN_FILLING:
+                smooth[row // 2, column // 2] = n_around / around
     limit = MAX_BEND * np.median(noise[:n_known]) if n_known else 0.0
     for row in range(smooth.shape[0]):
         for column in range(smooth.shape[1]):

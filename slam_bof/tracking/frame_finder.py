@@ -91,6 +91,7 @@ class FrameFinder:
         self._aligner = ViewAligner(params.alignment, seed=seed)
         self._view: DepthView | None = None  # of the last frame
         self._before: DepthView | None = None
+        self._is_repeated = False  # the same image again, as some drivers give it
         self._reference_inlier_ratio = float("nan")
         self._reference_score = float("nan")
         self._reference_violation = 0.0
@@ -113,6 +114,9 @@ class FrameFinder:
         view = make_view(frame)
         n_visible = np.count_nonzero(view.depth_m)
         sees_enough = n_visible >= self.params.min_valid_pixel_ratio * view.depth_m.size
+        self._is_repeated = self._view is not None and np.array_equal(
+            view.depth_m, self._view.depth_m
+        )
         self._before, self._view = self._view, view if sees_enough else None
 
     def find(
@@ -163,7 +167,8 @@ class FrameFinder:
         searched = self._search(T_guess, recent)
         if self._is_good(searched):
             return Found(searched.T_odom_frame, searched.agreement * searched.visible_ratio, False)
-        if is_lost and from_before and self._is_good(from_before):
+        may_begin = is_lost and not self._is_repeated
+        if may_begin and from_before and self._is_good(from_before):
             return Found(from_before.T_odom_frame, 0.0, False, begins_segment=True)
         if not is_lost and not self._is_contradicted(T_guess, recent, leaps=leaps):
             return Found(None, float("nan"), True)

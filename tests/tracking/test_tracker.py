@@ -85,6 +85,16 @@ def test_elsewhere_the_track_begins_anew(turn, look, standpoint):
     assert tracker.n_lost == 1
 
 
+def test_an_image_that_is_given_twice_does_not_confirm_itself(turn, look, standpoint):
+    frames, truth = turn
+    elsewhere = look(turned(standpoint, 5.2), 20)
+    again = replace(elsewhere, stamp_s=20.5)
+    shown = [*frames[:6], elsewhere, again, *frames[6:]]
+    _, tracks = follow(shown, np.concatenate([truth[:6], truth[5:6], truth[5:]]))
+    assert [track.is_lost for track in tracks] == [i in (6, 7) for i in range(N_FRAMES + 2)]
+    assert {track.segment for track in tracks} == {0}
+
+
 def trusting(frames, odometry):
     """Track frames as ``follow`` does, with odometry that is known to be precise."""
     tracker = Tracker()
