@@ -43,12 +43,15 @@ class DepthView:
     """A subsampled depth image with surface normals.
 
     ``depth_m`` (h, w) and ``normals_camera`` (h, w, 3), which point towards the camera, are
-    float32 and zero where unknown. ``intrinsics`` are those of the subsampled image.
+    float32 and zero where unknown. ``intrinsics`` are those of the subsampled image. ``roughness``
+    is the median of the second differences of inverse depth along rows of the image that was
+    subsampled, in 1/m; 0 if none is known.
     """
 
     depth_m: NDArray[np.float32]
     normals_camera: NDArray[np.float32]
     intrinsics: Intrinsics
+    roughness: float = 0.0
 
     def rays(self) -> NDArray[np.float32]:
         """Return the rays (h, w, 3) with z = 1: a point is its depth times its ray."""
@@ -66,14 +69,14 @@ def make_view(frame: DepthFrame) -> DepthView:
 
 def _make_view(frame: DepthFrame) -> DepthView:
     """Return the view of every second pixel of the grid of ``view_points``."""
-    depth_m = smooth_depth(
+    depth_m, roughness = smooth_depth(
         frame.depth_in_range_m(view_stride(frame.intrinsics)), frame.sensor.edge_ratio
     )
     camera = _shrunk(frame.intrinsics, 2 * view_stride(frame.intrinsics))
     normals = surface_normals(_rays(camera) * depth_m[..., None], frame.sensor.edge_ratio)
     for shared in (depth_m, normals):
         shared.setflags(write=False)
-    return DepthView(depth_m, normals, camera)
+    return DepthView(depth_m, normals, camera, roughness)
 
 
 def view_points(frame: DepthFrame) -> NDArray[np.float32]:
@@ -130,8 +133,12 @@ def _steps_per_m(sensor: SensorParams) -> int:
 
 
 @compiled
-def smooth_depth(depth_m: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArray[np.float32]:
+def smooth_depth(
+    depth_m: NDArray[np.float32], edge_ratio: float = 0.1
+) -> tuple[NDArray[np.float32], float]:
     """Return every second pixel of a depth image, each smoothed by its eight neighbours.
+
+    The second value is the roughness that ``DepthView`` has.
 
     The inverse depth of a plane is linear in the image: the mean of two opposite neighbours is that
     of the pixel between them. So the mean over the pairs that are in line with it has less noise,
@@ -167,7 +174,8 @@ def smooth_depth(depth_m: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArr
                     n_around += 1
             if n_around >= MIN_FILLING:
                 smooth[row // 2, column // 2] = n_around / around
-    limit = MAX_BEND * np.median(noise[:n_known]) if n_known else 0.0
+    roughness = float(np.median(noise[:n_known])) if n_known else 0.0
+    limit = MAX_BEND * roughness
     for row in range(smooth.shape[0]):
         for column in range(smooth.shape[1]):
             total, n = 0.0, 1
@@ -177,7 +185,7 @@ def smooth_depth(depth_m: NDArray[np.float32], edge_ratio: float = 0.1) -> NDArr
                     n += 2
             if n > 1:
                 smooth[row, column] = 1.0 / (1.0 / smooth[row, column] + total / n)
-    return smooth
+    return smooth, roughness
 
 
 @compiled

@@ -21,10 +21,10 @@ MIN_SPREAD = 0.02
 """Mean square of normals along a direction, below which it is their noise."""
 MAX_LEVERAGE = 10.0
 """A point whose normal is rare has at most this many times the weight of others."""
-VARIANCE_GROWTH = 0.1
-"""The variance of a point grows with its depth z in metres like 1 + this times z^2. That of a
-structured-light camera grows faster and that of a phone's smooth depth not at all, but its near
-walls are bent: where near points count for more than that, they outvote all others."""
+ROUGH = 0.0025
+"""Roughness of depth, in 1/m, from which on the noise of single pixels is what matters. A Kinect or
+Xtion has 0.0025 to 0.003, a stereo camera 0.0017 to 0.0019; the smooth depth of a phone has 0.0006.
+"""
 MIN_INFORMATION = 0.003
 """Steps along directions with a smaller share of the information are shortened."""
 MIN_PAIRS = 12
@@ -79,7 +79,7 @@ def refine(
             n_pairs = associate(
                 views, matches[k], points[:n], normals[:n], refined[k], gate_m, pairs
             )[0]
-            step = _solve_step(pairs[:n_pairs], gate_m)
+            step = _solve_step(pairs[:n_pairs], gate_m, views.roughness[matches[k]])
             refined[k] = small_motion(step) @ refined[k]
             moving = np.abs(step).max() > schedule.min_step
     return refined
@@ -144,7 +144,7 @@ def associate(
 
 
 @compiled
-def _solve_step(pairs: Array, gate_m: float) -> Array:
+def _solve_step(pairs: Array, gate_m: float, roughness: float) -> Array:
     """Return the small motion (6,), rotation first, of weighted least squares.
 
     Residuals and their derivatives are along the match's normals, but the equations are weighted
@@ -156,7 +156,7 @@ def _solve_step(pairs: Array, gate_m: float) -> Array:
     step = np.zeros(6)
     if len(pairs) < MIN_PAIRS:
         return step
-    weights = _weights(pairs, gate_m)
+    weights = _weights(pairs, gate_m, roughness)
     centre = np.zeros(3)
     square = 0.0
     for k in range(len(pairs)):
@@ -272,14 +272,18 @@ def fill_derivative(row: Array, x: float, y: float, z: float, normal: Array, wei
 
 
 @compiled
-def _weights(pairs: Array, gate_m: float) -> Array:
+def _weights(pairs: Array, gate_m: float, roughness: float) -> Array:
     """Weigh pairs (m, 10) by residual, depth and how rare their normals are; the sum is 1.
 
-    By residual as Geman and McClure do, and less what is far, whose depth is less sure. How rare a
-    normal n is: n' N^-1 n, N the mean square of all. The many points on a floor then do not
-    outweigh the few that hold a view sideways. This is the normal-space sampling of Rusinkiewicz
-    and Levoy (2001), by weights.
+    By residual as Geman and McClure do. How rare a normal n is: n' N^-1 n, N the mean square of
+    all. The many points on a floor then do not outweigh the few that hold a view sideways. This is
+    the normal-space sampling of Rusinkiewicz and Levoy (2001), by weights.
+
+    By depth z, because its noise grows with it: like 1 + z^2, in metres, where depth is rough. The
+    depth of a phone is made smooth, and what is left are walls that are bent, above all near ones.
+    So the variance of a point grows the less with its depth, the smoother the images are.
     """
+    growth = min((roughness / ROUGH) ** 2, 1.0)
     m = len(pairs)
     xx = xy = xz = yy = yz = zz = 0.0
     for k in range(m):
@@ -296,7 +300,7 @@ def _weights(pairs: Array, gate_m: float) -> Array:
         leverage = p * (a * p + d * q + e * r) + q * (b * q + f * r) + c * r * r
         off = 2.0 * pairs[k, 9] / gate_m
         doubt = 1.0 + off * off
-        variance = 1.0 + VARIANCE_GROWTH * pairs[k, 2] * pairs[k, 2]
+        variance = 1.0 + growth * pairs[k, 2] * pairs[k, 2]
         weights[k] = min(leverage, MAX_LEVERAGE) / (doubt * doubt * variance)
     total = 0.0
     for k in range(m):

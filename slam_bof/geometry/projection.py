@@ -42,6 +42,8 @@ class ViewArrays(NamedTuple):
     """(n, n_points), a random choice of the pixels whose depth is known."""
     rays: NDArray[np.float32]
     """(height * width, 3), with z = 1."""
+    roughness: NDArray[np.float64]
+    """(n,) of the depth images, in 1/m."""
     width: int
     height: int
     fx: float

@@ -38,6 +38,7 @@ class ViewStack:
         self._normals: GrowingArray
         self._sampled: GrowingArray
         self._surface: GrowingArray
+        self._roughness: GrowingArray
         self._order: Indices
 
     def add(self, view: DepthView) -> None:
@@ -56,6 +57,7 @@ class ViewStack:
             self._normals = GrowingArray((n_pixels, 3), np.int8)
             self._sampled = GrowingArray((self.n_points,), np.int32)
             self._surface = GrowingArray((self.n_points,), np.int32)
+            self._roughness = GrowingArray((), np.float64)
             self._order = np.random.default_rng(self._seed).permutation(n_pixels)
         if view.intrinsics != self._camera:
             raise ValueError(f"views must be of {self._camera}, got {view.intrinsics}")
@@ -67,6 +69,7 @@ class ViewStack:
             (self._normals, np.rint(normals * NORMAL_STEPS)),
             (self._sampled, _sample(depth_m[:, None], self._order, self.n_points)),
             (self._surface, _sample(normals, self._order, self.n_points)),
+            (self._roughness, np.float64(view.roughness)),
         ):
             if row == len(stack):
                 stack.append(values)
@@ -93,7 +96,7 @@ class ViewStack:
         if self._camera is None:
             return
         n_rows = int(self._row_of_id.rows.max(initial=DROPPED)) + 1
-        for stack in (self._depths_m, self._normals, self._sampled, self._surface):
+        for stack in self._stacks():
             stack.truncate(n_rows)
         self._free_rows = [row for row in self._free_rows if row < n_rows]
 
@@ -102,9 +105,8 @@ class ViewStack:
         """Size of all stored views in bytes, dropped ones not included."""
         if self._camera is None:
             return 0
-        stacks = (self._depths_m, self._normals, self._sampled, self._surface)
         n_stored = len(self._depths_m) - len(self._free_rows)
-        return n_stored * sum(stack.rows.strides[0] for stack in stacks)
+        return n_stored * sum(stack.rows.strides[0] for stack in self._stacks())
 
     def points_camera(self, view_id: int) -> NDArray[np.float32]:
         """Return all points (N, 3) of a view."""
@@ -137,6 +139,7 @@ class ViewStack:
             normals=self._normals.rows,
             sampled=self._sampled.rows,
             rays=self._rays,
+            roughness=self._roughness.rows,
             width=camera.width,
             height=camera.height,
             fx=camera.fx,
@@ -151,6 +154,9 @@ class ViewStack:
         if (rows == DROPPED).any():
             raise KeyError(f"a view of {views} was dropped")
         return rows
+
+    def _stacks(self) -> tuple[GrowingArray, ...]:
+        return self._depths_m, self._normals, self._sampled, self._surface, self._roughness
 
     def _points(self, rows: Indices, pixels: Indices) -> Floats:
         addresses = rows * len(self._rays) + pixels

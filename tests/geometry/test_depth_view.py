@@ -47,22 +47,29 @@ def slope(noise=0.0):
 
 
 def test_smoothing_does_not_move_a_plane():
-    np.testing.assert_allclose(smooth_depth(slope()), slope()[::2, ::2], rtol=1e-6)
+    np.testing.assert_allclose(smooth_depth(slope())[0], slope()[::2, ::2], rtol=1e-6)
 
 
 def test_smoothing_reduces_noise_to_less_than_half():
     exact, rough = slope()[::2, ::2], slope(noise=0.003)
     inside = np.s_[1:-1, 1:-1]  # the border has no neighbours on either side
     before = np.std(1.0 / rough[::2, ::2][inside] - 1.0 / exact[inside])
-    after = np.std(1.0 / smooth_depth(rough)[inside] - 1.0 / exact[inside])
+    after = np.std(1.0 / smooth_depth(rough)[0][inside] - 1.0 / exact[inside])
     assert after < 0.45 * before
+
+
+def test_roughness_is_that_of_noise():
+    """The second difference of three independent values has six times their variance."""
+    assert smooth_depth(slope())[1] < 1e-6
+    rough = smooth_depth(slope(noise=0.001))[1]
+    assert rough == pytest.approx(0.6745 * np.sqrt(6) * 0.001, rel=0.1)
 
 
 def test_smoothing_keeps_edges_and_holes():
     depth = slope(noise=0.001)
     depth[:, 40:] *= 0.8  # something in front
     depth[20:23, 10:13] = 0.0
-    smooth = smooth_depth(depth)
+    smooth, _ = smooth_depth(depth)
     np.testing.assert_array_equal(smooth == 0.0, depth[::2, ::2] == 0.0)
     for column in (19, 20):  # on either side of the edge
         np.testing.assert_allclose(smooth[:, column], depth[::2, 2 * column], rtol=0.02)
@@ -72,7 +79,7 @@ def test_single_missing_pixels_are_filled_in():
     """A time-of-flight camera drops single pixels, which left no normal to half of the others."""
     depth = slope()
     depth[np.random.default_rng(0).random(depth.shape) < 0.3] = 0.0
-    smooth = smooth_depth(depth)[1:-1, 1:-1]
+    smooth = smooth_depth(depth)[0][1:-1, 1:-1]
     assert np.mean(smooth > 0.0) > 0.9
     exact = slope()[2:-2:2, 2:-2:2]
     np.testing.assert_allclose(smooth[smooth > 0.0], exact[smooth > 0.0], rtol=1e-6)
@@ -82,7 +89,7 @@ def test_nothing_is_filled_in_across_an_edge():
     depth = slope()
     depth[:, 40:] *= 0.8  # something in front
     depth[:, 40] = 0.0
-    assert not smooth_depth(depth)[:, 20].any()
+    assert not smooth_depth(depth)[0][:, 20].any()
 
 
 def test_depths_out_of_range_are_dropped():

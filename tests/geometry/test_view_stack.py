@@ -43,7 +43,7 @@ def test_samples_are_of_known_pixels_and_the_first_of_them_the_same(views):
     assert (points[:, 2] == 2.0).all()
     assert len(np.unique(points, axis=0)) == 30
     np.testing.assert_array_equal(views.sampled(0, 7), points[:7])
-    assert views.nbytes == 2 * 48 * (4 + 3) + 2 * 2 * 30 * 4
+    assert views.nbytes == 2 * (48 * (4 + 3) + 2 * 30 * 4 + 8)
 
 
 def test_the_memory_of_a_dropped_view_is_used_again(views):

@@ -93,6 +93,7 @@ def corner(T_world_camera, bend=0.0):
 
 @pytest.mark.parametrize(("bend", "most_m"), [(0.0, 0.002), (0.05, 0.02), (0.1, 0.02)])
 def test_a_bent_wall_nearby_does_not_outvote_what_is_far(bend, most_m):
+    """Where depth is smooth, as that of a phone."""
     T_match_query = se3.exp(np.array([0.0, 0.03, 0.0, 0.05, 0.0, 0.05]))
     verifier = ProjectiveVerifier()
     views = prepare(verifier, corner(T_match_query, bend), corner(np.eye(4)))
