@@ -116,7 +116,9 @@ class BackgroundMapping:
 
     def submit(self, job: KeyframeJob) -> None:
         """Take a frame; the caller may reuse its image."""
-        self._unsent.append(replace(job, frame=replace(job.frame, depth=job.frame.depth.copy())))
+        tracked = job.tracked
+        frame = replace(tracked.frame, depth=tracked.frame.depth.copy())
+        self._unsent.append(replace(job, tracked=replace(tracked, frame=frame)))
 
     def send(self) -> None:
         """Hand the frames to the process."""

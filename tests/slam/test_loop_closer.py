@@ -110,9 +110,9 @@ def test_a_camera_at_rest_costs_nothing(look, standpoint):
 
 def test_a_preset_is_named_where_a_configuration_is_expected(tmp_path):
     (tmp_path / "my.yaml").write_text("keyframes: {policy: every}")
-    assert LoopCloser.from_config("paper")._selector.params.policy == "every"
-    assert LoopCloser.from_config(str(tmp_path / "my.yaml"))._selector.params.policy == "every"
-    assert LoopCloser.from_config(tmp_path / "my.yaml")._selector.params.policy == "every"
+    assert LoopCloser.from_config("paper").config.keyframes.policy == "every"
+    assert LoopCloser.from_config(str(tmp_path / "my.yaml")).config.keyframes.policy == "every"
+    assert LoopCloser.from_config(tmp_path / "my.yaml").config.keyframes.policy == "every"
     with pytest.raises(ConfigError, match="no preset 'outdoor'"):
         LoopCloser.from_config("outdoor")
 
