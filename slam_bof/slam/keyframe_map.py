@@ -20,6 +20,7 @@ from slam_bof.geometry import (
 from slam_bof.loops import (
     LoopCounts,
     LoopVerification,
+    MapPoses,
     RankedCandidates,
     Verified,
     find_covisible,
@@ -242,18 +243,16 @@ class KeyframeMap:
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
             proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
-            T_map_camera, components = self.graph.T_map_camera, self.graph.components.in_use()
             covisible = [] if is_full else self._find_covisible(frame, points)
             self._verification.add(frame, points)
             candidates = found.candidates + [c for c in covisible if c.match_id not in proposed]
-            aligned = self._verification.align(candidates, T_map_camera, found.guesses)
-            verified = self._verification.decide(
-                candidates,
-                aligned,
-                T_map_camera,
-                path_m=self.graph.shortest_paths_m() if candidates else None,
-                components=components,
+            poses = MapPoses(
+                T_map_camera=self.graph.T_map_camera,
+                path_m=self.graph.shortest_paths_m() if candidates else np.empty(0),
+                components=self.graph.components.in_use(),
             )
+            aligned = self._verification.align(candidates, poses.T_map_camera, found.guesses)
+            verified = self._verification.decide(candidates, aligned, poses)
         self._add_loops(verified.admitted)
         if is_full:
             self._detector.remove([keyframe.id])
