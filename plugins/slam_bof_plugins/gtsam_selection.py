@@ -108,7 +108,7 @@ def weigh_loops(
     steps: Sequence[Step],
     start: gtsam.Values,
     loops: Sequence[Noisy],
-    settled: Sequence[Noisy],
+    inherited: Sequence[Noisy],
     params: SelectionParams,
 ) -> tuple[NDArray[np.float64], gtsam.Values]:
     """Weigh each loop in [0, 1]: near 0 where it contradicts the others.
@@ -122,14 +122,14 @@ def weigh_loops(
     loops
         Edges over less than ``local_s`` in one segment are not judged and weigh 1. What an edge
         leaves open speaks neither for nor against it.
-    settled
+    inherited
         Edges that are known to be right.
 
     Returns
     -------
     weights : (L,)
     values
-        The nodes as those that agree have them: where to start optimising from.
+        The poses of the nodes by the loops that agree, at which optimisation starts.
     """
     far = np.array([_is_far(nodes, edge, params.local_s) for edge, _ in loops], np.bool_)
     weights = np.ones(len(loops))
@@ -138,7 +138,7 @@ def weigh_loops(
     if not any(far):
         return weights, values
     graph = _chain(values, steps, gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma))
-    for edge, noise in settled:
+    for edge, noise in inherited:
         graph.add(gtsam.BetweenFactorPose3(*edge, _held_noise(noise, params.loop_sigma)))
     n_known = graph.size()
     for k in np.flatnonzero(far).tolist():
