@@ -169,29 +169,6 @@ class LoopCloser:
                     self._apply(update)
             return replace(self._step(tracked), is_keyframe=is_keyframe)
 
-    def _has_room(self) -> bool:
-        """Return whether another keyframe may wait for the map; count the frame if not."""
-        is_full = self._mapping.is_full
-        self.n_postponed += is_full
-        return not is_full
-
-    def _step(self, tracked: TrackedFrame) -> Step:
-        """Return the result of a frame, and of the keyframes that are in the map since the last."""
-        updates, newest = self._updates.take(), self._updates.newest
-        track = tracked.track
-        T_map_camera = self._updates.T_map_track @ track.T_odom_camera
-        return Step(
-            updates[-1].keyframe if updates else None,
-            newest.scene if newest else None,
-            tuple(loop for update in updates for loop in update.verified.admitted),
-            tuple(candidate for update in updates for candidate in update.verified.candidates),
-            T_map_camera @ se3.inverse(tracked.T_odom_raw),
-            is_lost=track.is_lost,
-            open_axes=track.open_axes,
-            T_map_camera=T_map_camera,
-            covariance=self._updates.covariance(track),
-        )
-
     @one_blas_thread()
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
         """Process a point cloud instead of a depth image, like ``process``.
@@ -281,12 +258,6 @@ class LoopCloser:
             before.save(self._mapping)
             self._begin_session()
 
-    def _begin_session(self) -> None:
-        """Begin a session, within a call."""
-        newest = self._updates.newest
-        self._map.begin_session()
-        self._frames.begin_session(newest.segment + 1 if newest else 0)
-
     def poll(self) -> Step | None:
         """Return the step of the newest frame as it is now; None before the first frame.
 
@@ -347,6 +318,35 @@ class LoopCloser:
     def frames_since_keyframe(self) -> list[FramePose]:
         """The frames of this session after its newest keyframe."""
         return self.history.frames[self._updates.first_frame_after(self._frames.session) :]
+
+    def _has_room(self) -> bool:
+        """Return whether another keyframe may wait for the map; count the frame if not."""
+        is_full = self._mapping.is_full
+        self.n_postponed += is_full
+        return not is_full
+
+    def _step(self, tracked: TrackedFrame) -> Step:
+        """Return the result of a frame, and of the keyframes that are in the map since the last."""
+        updates, newest = self._updates.take(), self._updates.newest
+        track = tracked.track
+        T_map_camera = self._updates.T_map_track @ track.T_odom_camera
+        return Step(
+            keyframe=updates[-1].keyframe if updates else None,
+            scene=newest.scene if newest else None,
+            loops=tuple(loop for update in updates for loop in update.verified.admitted),
+            candidates=tuple(c for update in updates for c in update.verified.candidates),
+            T_map_odom=T_map_camera @ se3.inverse(tracked.T_odom_raw),
+            is_lost=track.is_lost,
+            open_axes=track.open_axes,
+            T_map_camera=T_map_camera,
+            covariance=self._updates.covariance(track),
+        )
+
+    def _begin_session(self) -> None:
+        """Begin a session, within a call."""
+        newest = self._updates.newest
+        self._map.begin_session()
+        self._frames.begin_session(newest.segment + 1 if newest else 0)
 
     @contextmanager
     def _call(self, *, wait: bool = False) -> Iterator[Checkpoint]:
