@@ -27,8 +27,8 @@ from slam_bof_plugins.gtsam_selection import (
     Edge,
     Node,
     Noisy,
+    OdometryStep,
     SelectionParams,
-    Step,
     optimized,
     pose3,
     poses_of,
@@ -89,7 +89,7 @@ class GtsamBackend:
         self.params = p = params or GtsamParams()
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
         self._nodes: dict[int, Node] = {}
-        self._steps: dict[int, Step] = {}
+        self._steps: dict[int, OdometryStep] = {}
         self._prior = gtsam.NonlinearFactorGraph()
         self._loops: dict[int, Noisy] = {}
         self._factors: dict[int, gtsam.NonlinearFactor] = {}
@@ -127,7 +127,7 @@ class GtsamBackend:
             motion = pose3(se3.inverse(before.T_odom_camera) @ keyframe.T_odom_camera)
             is_lost = keyframe.segment != before.segment
             noise = self._lost_noise if is_lost else self._step_noise(keyframe)
-            self._steps[key] = Step(before.id, key, motion, noise, is_lost)
+            self._steps[key] = OdometryStep(before.id, key, motion, noise, is_lost)
             factor = _factor(self._steps[key])
             node = self._estimate.atPose3(before.id).compose(motion)
         self._new_factors.add(factor)
@@ -356,5 +356,5 @@ class GtsamBackend:
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
 
 
-def _factor(step: Step) -> gtsam.NonlinearFactor:
+def _factor(step: OdometryStep) -> gtsam.NonlinearFactor:
     return gtsam.BetweenFactorPose3(step.before, step.node, step.measured, step.noise)

@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from slam_bof.types import Array
-from slam_bof_plugins.gtsam_selection import Edge, Noisy, Step
+from slam_bof_plugins.gtsam_selection import Edge, Noisy, OdometryStep
 
 __all__ = ["Attachment", "Contraction", "attach"]
 
@@ -94,13 +94,15 @@ class Contraction:
         """Return whether a node of an edge is removed."""
         return edge.match in self._removed or edge.query in self._removed
 
-    def steps(self, steps: Iterable[Step], estimate: gtsam.Values) -> dict[int, Step]:
+    def steps(
+        self, steps: Iterable[OdometryStep], estimate: gtsam.Values
+    ) -> dict[int, OdometryStep]:
         """Return the steps to the nodes that stay, from the nodes before them or their anchors.
 
         The anchor of a removed node inherits the step to it, however many edges it has: without
         that step a large loop might fall open.
         """
-        staying: dict[int, Step] = {}
+        staying: dict[int, OdometryStep] = {}
         ending: list[Noisy] = []
         for step in steps:
             edge, noise = self._composed(Edge(*step[:3]), step.noise)
@@ -108,7 +110,7 @@ class Contraction:
                 if step.is_lost:
                     between = estimate.atPose3(edge.match).between(estimate.atPose3(edge.query))
                     edge, noise = edge._replace(measured=between), step.noise
-                staying[step.node] = Step(*edge, noise, step.is_lost)
+                staying[step.node] = OdometryStep(*edge, noise, step.is_lost)
             elif not step.is_lost:
                 ending.append((edge, noise))
         linked = {frozenset(step[:2]) for step in staying.values()} | self._inherited.keys()

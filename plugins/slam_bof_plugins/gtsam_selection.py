@@ -25,8 +25,8 @@ __all__ = [
     "Edge",
     "Node",
     "Noisy",
+    "OdometryStep",
     "SelectionParams",
-    "Step",
     "optimized",
     "pose3",
     "poses_of",
@@ -77,7 +77,7 @@ class Edge(NamedTuple):
     measured: gtsam.Pose3
 
 
-class Step(NamedTuple):
+class OdometryStep(NamedTuple):
     """Odometry to a node from the one before: all but the first have one, and form a tree.
 
     ``is_lost`` says that odometry was lost on the way, and that the step is worth next to nothing.
@@ -105,7 +105,7 @@ Noisy = tuple[Edge, gtsam.noiseModel.Gaussian]
 
 def weigh_loops(
     nodes: Mapping[int, Node],
-    steps: Sequence[Step],
+    steps: Sequence[OdometryStep],
     start: gtsam.Values,
     loops: Sequence[Noisy],
     inherited: Sequence[Noisy],
@@ -192,7 +192,10 @@ def optimized(
 
 
 def _settle(
-    start: gtsam.Values, steps: Sequence[Step], near: Sequence[Noisy], params: SelectionParams
+    start: gtsam.Values,
+    steps: Sequence[OdometryStep],
+    near: Sequence[Noisy],
+    params: SelectionParams,
 ) -> gtsam.Values:
     """Return the nodes by odometry and the edges between neighbours, all robust."""
     kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
@@ -205,7 +208,7 @@ def _settle(
 
 
 def _chain(
-    values: gtsam.Values, steps: Sequence[Step], noise: gtsam.noiseModel.Base
+    values: gtsam.Values, steps: Sequence[OdometryStep], noise: gtsam.noiseModel.Base
 ) -> gtsam.NonlinearFactorGraph:
     """Return a graph that holds the first node fast and each other one to the one before it.
 
