@@ -96,7 +96,7 @@ def record_tour(path: Path, config: Config) -> RecordedTour:
     keyframes = list(closer.map.keyframes)
     features = []
     for keyframe in keyframes:
-        frame = dataset.frame(int(result.indices[keyframe.frame_index])).corrected(closer.sensor)
+        frame = dataset.frame(int(result.indices[keyframe.frame_index])).corrected(config.sensor)
         gravity_camera = keyframe.T_odom_camera[:3, :3].T @ np.array(config.gravity_odom)
         features.append(levelled_features(frame, gravity_camera=gravity_camera))
     return RecordedTour(keyframes, features, closer.map.poses(), closer.map.components)

@@ -245,7 +245,7 @@ class Backend(Protocol):
 
 @runtime_checkable
 class ContractingBackend(Backend, Protocol):
-    """A pose graph that can let go of nodes, so that it does not grow where nothing is new."""
+    """A pose graph that can remove nodes, so that it does not grow where nothing is new."""
 
     def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
         """Remove nodes (keys), each of which becomes fixed to another (values).

@@ -126,3 +126,10 @@ def save(
     if keyframe.session == len(store.sessions()):
         store.begin_session(Session(keyframe.session, "7scenes", "room/seq-01", "", 0, "1.0"))
     store.write(make_record(keyframe, candidates, admitted, **more))
+
+
+def save_six(store: MapStore, candidates: Sequence[Candidate], loops: Sequence[Loop]) -> None:
+    """Save six keyframes, the last of which has candidates and loops."""
+    for id_ in range(5):
+        save(store, make_keyframe(id_))
+    save(store, make_keyframe(5), candidates, loops)

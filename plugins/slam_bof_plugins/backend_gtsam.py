@@ -27,8 +27,8 @@ from slam_bof_plugins.gtsam_selection import (
     Edge,
     Node,
     Noisy,
+    OdometryStep,
     SelectionParams,
-    Step,
     optimized,
     pose3,
     poses_of,
@@ -89,14 +89,14 @@ class GtsamBackend:
         self.params = p = params or GtsamParams()
         self._isam = gtsam.ISAM2(gtsam.ISAM2Params())
         self._nodes: dict[int, Node] = {}
-        self._steps: dict[int, Step] = {}
+        self._steps: dict[int, OdometryStep] = {}
         self._prior = gtsam.NonlinearFactorGraph()
         self._loops: dict[int, Noisy] = {}
         self._factors: dict[int, gtsam.NonlinearFactor] = {}
         """Factors of the loops, by the same numbers: to make one takes longer than to add it."""
         self._weights: list[float] = []
-        self._settled: list[Noisy] = []
-        self._settled_factors: list[gtsam.NonlinearFactor] = []
+        self._inherited: list[Noisy] = []
+        self._inherited_factors: list[gtsam.NonlinearFactor] = []
         self._new_factors = gtsam.NonlinearFactorGraph()
         self._new_values = gtsam.Values()
         self._estimate = gtsam.Values()
@@ -111,7 +111,7 @@ class GtsamBackend:
         self._lost_noise = gtsam.noiseModel.Isotropic.Sigma(6, LOST_SIGMA)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
-        """Add a node where the odometry puts it, tied to the node before it.
+        """Add a node at its pose by odometry, with a factor to the node before it.
 
         After ``optimize``, the graph goes on from its optimum, without the loops left out.
         """
@@ -127,7 +127,7 @@ class GtsamBackend:
             motion = pose3(se3.inverse(before.T_odom_camera) @ keyframe.T_odom_camera)
             is_lost = keyframe.segment != before.segment
             noise = self._lost_noise if is_lost else self._step_noise(keyframe)
-            self._steps[key] = Step(before.id, key, motion, noise, is_lost)
+            self._steps[key] = OdometryStep(before.id, key, motion, noise, is_lost)
             factor = _factor(self._steps[key])
             node = self._estimate.atPose3(before.id).compose(motion)
         self._new_factors.add(factor)
@@ -158,8 +158,7 @@ class GtsamBackend:
     def move(self, keyframe_ids: NDArray[np.integer[Any]], T: Pose) -> None:
         """Carry nodes by ``T`` (4, 4) in the map, and start iSAM2 afresh from there.
 
-        What steps without odometry were taken to be becomes what they are now, so that they pull
-        at nothing.
+        Steps without odometry are measured again in the moved map, so that they have no error.
         """
         motion = pose3(T)
         for key in keyframe_ids.tolist():
@@ -174,14 +173,15 @@ class GtsamBackend:
     def contract(self, anchors: Mapping[int, int], max_edges: int) -> Array:
         """Contract nodes into their anchors, and start iSAM2 afresh with what stays.
 
-        Before the nodes are fixed for good, the loops that waited for the end have their say.
+        The graph is optimised first with the loops that wait for ``optimize``, since the poses of
+        the nodes in their anchors are final.
         """
         self._estimate = optimized(self._graph(), self._estimate, self.params.n_updates)
         kept = [self._loops[k] for k in self._kept()]
-        gone = attach(self._estimate, anchors, kept, self.params.loop_sigma)
+        removed = attach(self._estimate, anchors, kept, self.params.loop_sigma)
         contraction = Contraction(
-            gone,
-            self._settled,
+            removed,
+            self._inherited,
             max_edges=max_edges,
             max_trace=MAX_GAIN * 6.0 / self.params.loop_sigma**2,
         )
@@ -189,8 +189,8 @@ class GtsamBackend:
         for edge, noise in kept:
             if contraction.touches(edge):
                 contraction.compose(edge, self._weighted(edge, noise))
-        self._settled = contraction.settled
-        self._settled_factors = [self._robust(*noisy) for noisy in self._settled]
+        self._inherited = contraction.inherited
+        self._inherited_factors = [self._robust(*noisy) for noisy in self._inherited]
         self._loops = {
             k: loop for k, loop in self._loops.items() if not contraction.touches(loop[0])
         }
@@ -199,16 +199,16 @@ class GtsamBackend:
             self._estimate.erase(key)
             del self._nodes[key]
         self._start_afresh(gtsam.ISAM2Params())
-        return np.array([node.T_anchor_node.matrix() for node in gone.values()])
+        return np.array([node.T_anchor_node.matrix() for node in removed.values()])
 
     def add_loop(self, loop: Loop) -> None:
         """Add a verified edge; its information keeps its shape and is scaled to one trace.
 
-        A loop that says what the map has already waits for the end: where the same place is seen
-        over and over, iSAM2's tree would become dense and each update slower than the last. The
-        first between two segments never waits: without, the lost step alone would place them. Nor
-        do edges between neighbours in time; without them, the small errors that they correct would
-        add up.
+        A loop that agrees with the map waits for ``optimize``: where the same place is seen over
+        and over, iSAM2's tree would become dense and each update slower than the last. The first
+        loop between two segments never waits, because otherwise only the step without odometry
+        would place the second. Edges that are no loops never wait either, because the small errors
+        that they correct would add up.
         """
         information = loop_information(loop.information, self.params.loop_sigma)
         noise = gtsam.noiseModel.Gaussian.Information(information)
@@ -227,7 +227,7 @@ class GtsamBackend:
         try:
             self._isam.update(self._new_factors, self._new_values)
         except RuntimeError:
-            # Cholesky's squares may lose what ties a variable; QR is slower and does not.
+            # Cholesky may lose what constrains a variable, as it squares it; QR is slower.
             params = gtsam.ISAM2Params()
             params.setFactorization("QR")
             self._start_afresh(params)
@@ -250,7 +250,7 @@ class GtsamBackend:
                     list(self._steps.values()),
                     self._placed(),
                     list(self._loops.values()),
-                    self._settled,
+                    self._inherited,
                     p.selection,
                 )
             for k, weight in zip(self._loops, weights.tolist(), strict=True):
@@ -272,7 +272,7 @@ class GtsamBackend:
         edges: list[Noisy] = [
             (Edge(*step[:3]), step.noise) for step in self._steps.values() if not step.is_lost
         ]
-        edges += self._settled + [self._loops[k] for k in self._kept()]
+        edges += self._inherited + [self._loops[k] for k in self._kept()]
         write_g2o(
             path,
             zip(self._estimate.keys(), self.poses(), strict=True),
@@ -308,7 +308,7 @@ class GtsamBackend:
         graph = gtsam.NonlinearFactorGraph(self._prior)
         for step in self._steps.values():
             graph.add(_factor(step))
-        for factor in self._settled_factors:
+        for factor in self._inherited_factors:
             graph.add(factor)
         for k in self._kept():
             graph.add(self._factors[k])
@@ -337,7 +337,7 @@ class GtsamBackend:
         return [k for k in self._loops if self._weights[k] >= 0.5]
 
     def _is_news(self, edge: Edge) -> bool:
-        """Tell whether an edge contradicts the estimate by more than the tolerance."""
+        """Return whether an edge contradicts the estimate by more than the tolerance."""
         return bool(np.abs(self._error(edge)).max() > self.params.tolerance)
 
     def _weighted(self, edge: Edge, noise: gtsam.noiseModel.Gaussian) -> gtsam.noiseModel.Gaussian:
@@ -356,5 +356,5 @@ class GtsamBackend:
         return gtsam.BetweenFactorPose3(*edge, gtsam.noiseModel.Robust.Create(kernel, noise))
 
 
-def _factor(step: Step) -> gtsam.NonlinearFactor:
+def _factor(step: OdometryStep) -> gtsam.NonlinearFactor:
     return gtsam.BetweenFactorPose3(step.before, step.node, step.measured, step.noise)

@@ -35,6 +35,8 @@ __all__ = [
 logger = logging.getLogger(__name__)
 
 MILLIMETRES_PER_M = 1000.0
+MAX_GAP_S = 0.1
+"""Largest time between two true poses that a frame between them is given a pose by."""
 
 
 def sequence_name(path: Path) -> str:
@@ -196,7 +198,7 @@ def poses_at(trajectory: Trajectory, stamps_s: Array, max_gap_s: float) -> Traje
     return Trajectory(stamps_s, poses)
 
 
-def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajectory | None:
+def read_groundtruth(path: Path, stamps_s: Array) -> Trajectory | None:
     """Return the true pose of each frame by a file in TUM format, with a warning for unknown ones.
 
     None if there is no such file, or it fits no frame.
@@ -204,7 +206,7 @@ def read_groundtruth(path: Path, stamps_s: Array, max_gap_s: float) -> Trajector
     if not path.is_file():
         return None
     recorded = read_tum(path)
-    found = poses_at(recorded, stamps_s, max_gap_s)
+    found = poses_at(recorded, stamps_s, MAX_GAP_S)
     n_unknown = int(np.isnan(found.poses).any(axis=(1, 2)).sum())
     if n_unknown:
         times = ""

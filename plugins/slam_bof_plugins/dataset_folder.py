@@ -50,7 +50,6 @@ INTRINSICS = "intrinsics.json"
 POSES = ("groundtruth.txt", "poses.txt")
 SUFFIXES = (".png", ".npy")
 COLOR_SUFFIXES = (".png", ".jpg", ".PNG", ".JPG")
-MAX_GAP_S = 0.1
 
 
 class CameraFile(BaseModel):
@@ -276,5 +275,5 @@ def _open_array(file: Path) -> NDArray[Any]:
 def _read_groundtruth(folder: Path, stamps_s: Array) -> Trajectory | None:
     for name in POSES:
         if (folder / name).is_file():
-            return read_groundtruth(folder / name, stamps_s, MAX_GAP_S)
+            return read_groundtruth(folder / name, stamps_s)
     return None

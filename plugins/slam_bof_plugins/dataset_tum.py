@@ -45,7 +45,7 @@ logger = logging.getLogger(__name__)
 
 UNITS_PER_M = 5000.0
 COLOR_TOLERANCE_S = 0.02
-MAX_GAP_S = 0.1
+"""Largest difference of the times of a depth and a colour image, as in the benchmark's tools."""
 
 Camera = Literal["color", "infrared", "default"]
 
@@ -95,7 +95,7 @@ class TumRgbd:
         self._stamps_s = stamps_s
         self._files = tuple(files)
         self._colors = _match_colors(folder, stamps_s)
-        self._groundtruth = read_groundtruth(folder / "groundtruth.txt", stamps_s, MAX_GAP_S)
+        self._groundtruth = read_groundtruth(folder / "groundtruth.txt", stamps_s)
 
     @classmethod
     def recognises(cls, path: Path) -> str:

@@ -1,4 +1,4 @@
-"""BOF by the port that other descriptors come by, to be compared with them."""
+"""BOF as descriptor plug-ins, to compare it with other descriptors."""
 
 from __future__ import annotations
 

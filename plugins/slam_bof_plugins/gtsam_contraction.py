@@ -1,10 +1,10 @@
-"""Contraction of nodes of a pose graph: a node becomes one with its anchor.
+"""Contraction of nodes of a pose graph: an anchor inherits the edges of a removed node.
 
-The reduced pose graph of Johannsson et al. (ICRA 2013): where a place is known well enough, its
-keyframes are not added for ever. A node that goes is taken to be fixed to its anchor where the map
-has the two now, and what was measured between it and other nodes is composed with that pose and
-becomes an edge of the anchor. Odometry stays a tree. Other edges between the same two nodes are
-averaged, and a node keeps not more of them than a given number.
+The reduced pose graph of Johannsson et al. (ICRA 2013): the graph stops growing where a place is
+known well enough. The pose of a removed node in its anchor is fixed at what the map has at that
+time. Each edge of the node is composed with that pose and becomes an edge of the anchor. Odometry
+stays a tree. Other edges between the same two nodes are averaged, and a node inherits no more than
+a given number of them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import gtsam
 import numpy as np
 
 from slam_bof.types import Array
-from slam_bof_plugins.gtsam_selection import Edge, Noisy, Step
+from slam_bof_plugins.gtsam_selection import Edge, Noisy, OdometryStep
 
 __all__ = ["Attachment", "Contraction", "attach"]
 
@@ -35,9 +35,9 @@ class Attachment(NamedTuple):
 def attach(
     estimate: gtsam.Values, anchors: Mapping[int, int], loops: Iterable[Noisy], sigma: float
 ) -> dict[int, Attachment]:
-    """Return where each node goes, as sure as the loop between it and its anchor is.
+    """Return the anchor of each node, with the information of the loop between the two.
 
-    Without such a loop it is as sure as an average one, of standard deviation ``sigma``.
+    Without such a loop it is that of an average one, of standard deviation ``sigma``.
     """
     known: dict[int, Array] = {}
     for edge, noise in loops:
@@ -54,73 +54,75 @@ def attach(
 
 
 class Contraction:
-    """Collects the edges that nodes leave behind as they go to their anchors.
+    """Collects the edges that anchors inherit from removed nodes.
 
     Parameters
     ----------
-    gone
-        The nodes that go.
-    settled
-        The edges that were left behind before.
+    removed
+        The nodes that are removed.
+    inherited
+        The edges that were inherited before.
     max_edges
-        Largest number of settled edges of a node.
+        Largest number of edges that a node inherits.
     max_trace
-        Largest trace of the information of a settled edge: the errors of edges that are averaged
+        Largest trace of the information of a inherited edge: the errors of edges that are averaged
         are not independent.
     """
 
     def __init__(
         self,
-        gone: Mapping[int, Attachment],
-        settled: Iterable[Noisy],
+        removed: Mapping[int, Attachment],
+        inherited: Iterable[Noisy],
         *,
         max_edges: int,
         max_trace: float,
     ) -> None:
-        self._gone = gone
+        self._removed = removed
         self._max_edges = max_edges
         self._max_trace = max_trace
-        self._settled: dict[frozenset[int], Noisy] = {}
+        self._inherited: dict[frozenset[int], Noisy] = {}
         self._n_edges: Counter[int] = Counter()
-        for edge, noise in settled:
+        for edge, noise in inherited:
             self._add(*self._composed(edge, noise))
 
     @property
-    def settled(self) -> list[Noisy]:
-        """The edges that nodes have left behind, at most one between two nodes."""
-        return list(self._settled.values())
+    def inherited(self) -> list[Noisy]:
+        """The edges that anchors have inherited, at most one between two nodes."""
+        return list(self._inherited.values())
 
     def touches(self, edge: Edge) -> bool:
-        """Return whether a node of an edge goes."""
-        return edge.match in self._gone or edge.query in self._gone
+        """Return whether a node of an edge is removed."""
+        return edge.match in self._removed or edge.query in self._removed
 
-    def steps(self, steps: Iterable[Step], estimate: gtsam.Values) -> dict[int, Step]:
-        """Return the steps to the nodes that stay, from where the nodes before them go.
+    def steps(
+        self, steps: Iterable[OdometryStep], estimate: gtsam.Values
+    ) -> dict[int, OdometryStep]:
+        """Return the steps to the nodes that stay, from the nodes before them or their anchors.
 
-        The step to a node that goes becomes an edge of its anchor, whatever there is room for:
-        without it a large loop might fall open.
+        The anchor of a removed node inherits the step to it, however many edges it has: without
+        that step a large loop might fall open.
         """
-        staying: dict[int, Step] = {}
+        staying: dict[int, OdometryStep] = {}
         ending: list[Noisy] = []
         for step in steps:
             edge, noise = self._composed(Edge(*step[:3]), step.noise)
-            if step.node not in self._gone:
+            if step.node not in self._removed:
                 if step.is_lost:
                     between = estimate.atPose3(edge.match).between(estimate.atPose3(edge.query))
                     edge, noise = edge._replace(measured=between), step.noise
-                staying[step.node] = Step(*edge, noise, step.is_lost)
+                staying[step.node] = OdometryStep(*edge, noise, step.is_lost)
             elif not step.is_lost:
                 ending.append((edge, noise))
-        linked = {frozenset(step[:2]) for step in staying.values()} | self._settled.keys()
+        linked = {frozenset(step[:2]) for step in staying.values()} | self._inherited.keys()
         for edge, noise in ending:
             if frozenset(edge[:2]) not in linked:
                 self._add(edge, noise)
         return staying
 
     def compose(self, edge: Edge, noise: Noise) -> None:
-        """Add an edge between where its nodes go, if there is room, or average it with another."""
+        """Add an edge, or average it with one that is there, unless a node has inherited enough."""
         edge, noise = self._composed(edge, noise)
-        if frozenset(edge[:2]) in self._settled or all(
+        if frozenset(edge[:2]) in self._inherited or all(
             self._n_edges[node] < self._max_edges for node in edge[:2]
         ):
             self._add(edge, noise)
@@ -129,24 +131,24 @@ class Contraction:
         pair = frozenset(edge[:2])
         if len(pair) < 2:
             return
-        if pair in self._settled:
-            self._settled[pair] = _mean(self._settled[pair], (edge, noise), self._max_trace)
+        if pair in self._inherited:
+            self._inherited[pair] = _mean(self._inherited[pair], (edge, noise), self._max_trace)
         else:
-            self._settled[pair] = edge, noise
+            self._inherited[pair] = edge, noise
             self._n_edges.update(pair)
 
     def _composed(self, edge: Edge, noise: Noise) -> Noisy:
-        """Return the edge between where its nodes go."""
+        """Return the edge between the anchors of its nodes; a node that stays is its own."""
         if not self.touches(edge):
             return edge, noise
         match, query, T = edge
         information = noise.information()
-        if match in self._gone:
-            match, T_anchor_match, of_match = self._gone[match]
+        if match in self._removed:
+            match, T_anchor_match, of_match = self._removed[match]
             information = _in_series(of_match, T, information)
             T = T_anchor_match.compose(T)
-        if query in self._gone:
-            query, T_anchor_query, of_query = self._gone[query]
+        if query in self._removed:
+            query, T_anchor_query, of_query = self._removed[query]
             T_query_anchor = T_anchor_query.inverse()
             of_query = _moved(of_query, T_query_anchor)
             information = _in_series(information, T_query_anchor, of_query)

@@ -25,8 +25,8 @@ __all__ = [
     "Edge",
     "Node",
     "Noisy",
+    "OdometryStep",
     "SelectionParams",
-    "Step",
     "optimized",
     "pose3",
     "poses_of",
@@ -77,7 +77,7 @@ class Edge(NamedTuple):
     measured: gtsam.Pose3
 
 
-class Step(NamedTuple):
+class OdometryStep(NamedTuple):
     """Odometry to a node from the one before: all but the first have one, and form a tree.
 
     ``is_lost`` says that odometry was lost on the way, and that the step is worth next to nothing.
@@ -105,10 +105,10 @@ Noisy = tuple[Edge, gtsam.noiseModel.Gaussian]
 
 def weigh_loops(
     nodes: Mapping[int, Node],
-    steps: Sequence[Step],
+    steps: Sequence[OdometryStep],
     start: gtsam.Values,
     loops: Sequence[Noisy],
-    settled: Sequence[Noisy],
+    inherited: Sequence[Noisy],
     params: SelectionParams,
 ) -> tuple[NDArray[np.float64], gtsam.Values]:
     """Weigh each loop in [0, 1]: near 0 where it contradicts the others.
@@ -122,14 +122,14 @@ def weigh_loops(
     loops
         Edges over less than ``local_s`` in one segment are not judged and weigh 1. What an edge
         leaves open speaks neither for nor against it.
-    settled
+    inherited
         Edges that are known to be right.
 
     Returns
     -------
     weights : (L,)
     values
-        The nodes as those that agree have them: where to start optimising from.
+        The poses of the nodes by the loops that agree, at which optimisation starts.
     """
     far = np.array([_is_far(nodes, edge, params.local_s) for edge, _ in loops], np.bool_)
     weights = np.ones(len(loops))
@@ -138,7 +138,7 @@ def weigh_loops(
     if not any(far):
         return weights, values
     graph = _chain(values, steps, gtsam.noiseModel.Isotropic.Sigma(6, params.step_sigma))
-    for edge, noise in settled:
+    for edge, noise in inherited:
         graph.add(gtsam.BetweenFactorPose3(*edge, _held_noise(noise, params.loop_sigma)))
     n_known = graph.size()
     for k in np.flatnonzero(far).tolist():
@@ -192,7 +192,10 @@ def optimized(
 
 
 def _settle(
-    start: gtsam.Values, steps: Sequence[Step], near: Sequence[Noisy], params: SelectionParams
+    start: gtsam.Values,
+    steps: Sequence[OdometryStep],
+    near: Sequence[Noisy],
+    params: SelectionParams,
 ) -> gtsam.Values:
     """Return the nodes by odometry and the edges between neighbours, all robust."""
     kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)
@@ -205,7 +208,7 @@ def _settle(
 
 
 def _chain(
-    values: gtsam.Values, steps: Sequence[Step], noise: gtsam.noiseModel.Base
+    values: gtsam.Values, steps: Sequence[OdometryStep], noise: gtsam.noiseModel.Base
 ) -> gtsam.NonlinearFactorGraph:
     """Return a graph that holds the first node fast and each other one to the one before it.
 

@@ -89,7 +89,7 @@ class GenzIcpOdometry:
         return self._T_odom_camera.copy()
 
     def _track(self, points: Array) -> None:
-        """Move on, from where the last step again would lead, as KISS-ICP does."""
+        """Align a frame, starting from its pose at constant velocity, as KISS-ICP does."""
         sigma = self._threshold._compute_threshold()
         T_guess = self._T_odom_camera @ self._step
         with silenced():  # it draws a figure of its weights for each frame

@@ -100,7 +100,7 @@ class Open3dOdometry:
         return self._T_odom_camera.copy()
 
     def _track(self, image: Any, camera: Any) -> None:
-        """Move on, from where the last step again would lead; keep the image if it is due."""
+        """Align a frame, starting from its pose at constant velocity; keep its image if due."""
         p = self.params
         T_guess = self._T_odom_camera @ self._step
         T_last = self._T_odom_camera

@@ -79,7 +79,7 @@ class SmallGicpOdometry:
         return self._T_odom_camera.copy()
 
     def _track(self, cloud: small_gicp.PointCloud) -> None:
-        """Move on, from where the last step again would lead."""
+        """Align a frame, starting from its pose at constant velocity."""
         p = self.params
         found = small_gicp.align(
             self._map,

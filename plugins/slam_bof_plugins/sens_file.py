@@ -122,6 +122,30 @@ def open_sens(path: Path) -> SensFile:
 
 
 def _index(path: Path, file: BinaryIO, size: int) -> SensFile:
+    header = _read_header(path, file)
+    matrices = np.array(header[:64], dtype=np.float64).reshape(4, 4, 4)
+    color_coding, depth_coding, cw, ch, dw, dh, units_per_m, n_frames = header[64:]
+    # Checked before anything is reserved for them: the number may be nonsense.
+    if n_frames * FRAME.size > size:
+        raise DatasetError(f"{path}: found {size} bytes, expected {n_frames} frames: truncated")
+    poses, stamps_us, places = _find_frames(path, file, size, n_frames)
+    return SensFile(
+        path=path,
+        K_color=matrices[0],
+        K_depth=matrices[2],
+        color_coding=COLOR_CODINGS.get(color_coding, str(color_coding)),
+        depth_coding=DEPTH_CODINGS[depth_coding],
+        color_size=(ch, cw),
+        depth_size=(dh, dw),
+        units_per_m=units_per_m,
+        poses=poses,
+        stamps_us=stamps_us,
+        places=places,
+    )
+
+
+def _read_header(path: Path, file: BinaryIO) -> tuple[Any, ...]:
+    """Read the values of ``FIXED`` behind version and name, and check those of depth."""
     version, length = _unpack(path, file, struct.Struct("<IQ"), "the header")
     if version != VERSION:
         raise DatasetError(f"{path}: found version {version}, expected a .sens file of version 4")
@@ -129,21 +153,24 @@ def _index(path: Path, file: BinaryIO, size: int) -> SensFile:
         raise DatasetError(f"{path}: found a name of {length} bytes, expected a .sens file")
     file.seek(length, 1)
     header = _unpack(path, file, FIXED, "the header")
-    matrices = np.array(header[:64], dtype=np.float64).reshape(4, 4, 4)
-    color_coding, depth_coding, cw, ch, dw, dh, units_per_m, n_frames = header[64:]
+    _, depth_coding, _, _, width, height, units_per_m, _ = header[64:]
     if DEPTH_CODINGS.get(depth_coding) not in ("raw_ushort", "zlib_ushort"):
         found = DEPTH_CODINGS.get(depth_coding, depth_coding)
         raise DatasetError(
             f"{path}: found depth coded as {found}, expected zlib_ushort or raw_ushort"
         )
-    if not (0 < dw * dh <= MAX_PIXELS and 1.0 <= units_per_m <= MAX_UNITS_PER_M):
+    if not (0 < width * height <= MAX_PIXELS and 1.0 <= units_per_m <= MAX_UNITS_PER_M):
         raise DatasetError(
-            f"{path}: found depth of {dw}x{dh} pixels and {units_per_m} units a metre, "
+            f"{path}: found depth of {width}x{height} pixels and {units_per_m} units a metre, "
             f"expected at most {MAX_PIXELS} pixels and 1 to {MAX_UNITS_PER_M:g} units"
         )
-    # Checked before anything is reserved for them: the number may be nonsense.
-    if n_frames * FRAME.size > size:
-        raise DatasetError(f"{path}: found {size} bytes, expected {n_frames} frames: truncated")
+    return header
+
+
+def _find_frames(
+    path: Path, file: BinaryIO, size: int, n_frames: int
+) -> tuple[Array, NDArray[np.uint64], NDArray[np.int64]]:
+    """Return the poses, times and places of all frames, without reading their images."""
     poses = np.empty((n_frames, 4, 4))
     stamps_us = np.empty(n_frames, np.uint64)
     places = np.empty((n_frames, 3), np.int64)
@@ -159,19 +186,7 @@ def _index(path: Path, file: BinaryIO, size: int) -> SensFile:
         stamps_us[index] = stamp_us
         places[index] = at, color, depth
         file.seek(color + depth, 1)
-    return SensFile(
-        path,
-        matrices[0],
-        matrices[2],
-        COLOR_CODINGS.get(color_coding, str(color_coding)),
-        DEPTH_CODINGS[depth_coding],
-        (ch, cw),
-        (dh, dw),
-        units_per_m,
-        poses,
-        stamps_us,
-        places,
-    )
+    return poses, stamps_us, places
 
 
 def _unpack(path: Path, file: BinaryIO, what: struct.Struct, where: str) -> tuple[Any, ...]:

@@ -10,7 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from slam_bof.core import import_open3d
-from slam_bof.geometry import RegistrationQualityParams, assess_registration, reject, se3
+from slam_bof.geometry import (
+    RegistrationQualityParams,
+    SurfacePairs,
+    assess_registration,
+    reject,
+    se3,
+)
 from slam_bof.types import Array, DepthFrame, Pose, Verification
 
 o3d = import_open3d()
@@ -118,12 +124,16 @@ class Open3dVerifier:
             for of_match in (match.cloud.points, match.cloud.normals)
         )
         offset = se3.transform(T_match_query, points) - surface
+        normals_query = normals @ T_match_query[:3, :3]
         return assess_registration(
             p,
             T_match_query,
-            points,
-            normals @ T_match_query[:3, :3],
-            np.einsum("ij,ij->i", offset, normals),
+            SurfacePairs(
+                points_query=points,
+                normals_query=normals_query,
+                facing_query=normals_query,
+                residuals_m=np.einsum("ij,ij->i", offset, normals),
+            ),
             overlap=len(pairs) / len(points_query),
             guessed=guessed,
         )

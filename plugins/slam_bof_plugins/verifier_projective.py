@@ -112,10 +112,7 @@ class ProjectiveVerifier:
             assess_registration(
                 self.params,
                 T[k],
-                pairs[k].points_query,
-                pairs[k].normals_query,
-                pairs[k].residuals_m,
-                facing_query=pairs[k].facing_query,
+                pairs[k],
                 overlap=float(overlap[k]),
                 guessed=T_match_query is not None,
                 reason_against=reasons[k],

@@ -254,7 +254,7 @@ class ConstellationIndex:
             for postings, begin in zip(lists, begins, strict=True)
         ]
         n_found = np.sum(counts, axis=0) if lists else np.zeros(len(low))
-        kept = self._telling(contours, n_found, len(query.slices))
+        kept = self._rarest(contours, n_found, len(query.slices))
         cells = [np.empty(0, np.uint32)]
         cells += [
             voters.cells(contours[kept], begin[kept], count[kept], postings)
@@ -262,10 +262,10 @@ class ConstellationIndex:
         ]
         return count_votes(np.concatenate(cells), self._totals.rows, n, allowed)
 
-    def _telling(
+    def _rarest(
         self, contours: NDArray[np.intp], n_found: NDArray[Any], n_contours: int
     ) -> NDArray[np.bool_]:
-        """Return which ranges (R,) are looked up: those of the contours with the rarest shapes."""
+        """Return which ranges (R,) to look up: those of contours with the rarest shapes."""
         of_contours = np.bincount(contours, n_found, n_contours)
         order = np.argsort(of_contours, kind="stable")
         asked = np.zeros(n_contours, np.bool_)

@@ -21,6 +21,7 @@ def demo(
     """Run the mini-SLAM over a tour of a synthetic flat, which is made once and cached."""
     from slam_bof import synthetic
     from slam_bof.cli.console import Bar
+    from slam_bof.run import RunOptions
     from slam_bof.slam import config as configs
 
     # A shortened tour has a folder of its own, so that it does not replace the whole one.
@@ -29,9 +30,8 @@ def demo(
         sequence = synthetic.write_flat(folder, seed=seed, n_frames=max_frames, progress=bar.show)
     # The flat is drawn, as are the rooms that this model has learnt from and is right about.
     config = configs.preset("indoor").model_copy(update={"seed": seed, "model": "synthetic"})
-    run_new(
-        sequence, config, out, max_frames=max_frames, with_color=True, quiet=quiet, as_json=as_json
-    )
+    options = RunOptions(max_frames=max_frames, with_color=True)
+    run_new(sequence, config, out, options, quiet=quiet, as_json=as_json)
 
 
 def _cache() -> Path:

@@ -89,21 +89,14 @@ def export(
     from slam_bof.store import MapStore, choose_component, components_of
 
     format_ = format_ or _format_of(out)
-    if z_up and format_ != "ply":
-        raise ConfigError(f"--z-up: found with {format_}, expected with ply")
-    if all_frames and format_ not in ("tum", "kitti"):
-        raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
-    if session is not None and format_ == "g2o":
-        raise ConfigError("--session: found with g2o, expected without: a graph has all sessions")
+    _refuse_misfits(format_, z_up=z_up, all_frames=all_frames, session=session)
     if min_height >= max_height:
         raise ConfigError(f"--min-height: found {min_height}, expected below {max_height}")
     plan = OccupancyGridParams(
         resolution_m=resolution, min_height_m=min_height, max_height_m=max_height
     )
-    if format_ == "occupancy" and out.suffix == ".png":
-        out = out.with_suffix(".yaml")
-    elif format_ == "occupancy" and out.suffix not in (".yaml", ".yml"):
-        out = out.with_name(f"{out.name}.yaml")
+    if format_ == "occupancy":
+        out = _yaml_of(out)
     with MapStore.open(map_file(map_)) as store, store.snapshot(), naming(out):
         inside = choose_component(store, component, session=session)
         if inside.any():
@@ -134,3 +127,20 @@ def _format_of(out: Path) -> Format:
         known = ", ".join(filter(None, FORMATS_OF_SUFFIXES))
         raise ConfigError(f"--out: found the suffix {out.suffix}, expected {known}, or --format")
     return FORMATS_OF_SUFFIXES[out.suffix.lower()]
+
+
+def _refuse_misfits(format_: Format, *, z_up: bool, all_frames: bool, session: int | None) -> None:
+    """Refuse options that a format has no use for."""
+    if z_up and format_ != "ply":
+        raise ConfigError(f"--z-up: found with {format_}, expected with ply")
+    if all_frames and format_ not in ("tum", "kitti"):
+        raise ConfigError(f"--all-frames: found with {format_}, expected with tum or kitti")
+    if session is not None and format_ == "g2o":
+        raise ConfigError("--session: found with g2o, expected without: a graph has all sessions")
+
+
+def _yaml_of(out: Path) -> Path:
+    """Return the YAML file of an occupancy grid, whose image may have been named instead."""
+    if out.suffix == ".png":
+        return out.with_suffix(".yaml")
+    return out if out.suffix in (".yaml", ".yml") else out.with_name(f"{out.name}.yaml")

@@ -44,7 +44,7 @@ def info(map_: MAP, as_json: JSON = False) -> None:
 
     path = map_file(map_)
     with MapStore.open(path) as store, store.snapshot():
-        keyframes, loops, regions = store.keyframes(), store.loops(), store.regions()
+        keyframes, loops, rooms = store.keyframes(), store.loops(), store.rooms()
         counts = {k: sum(f.session == k for f in keyframes) for k in range(len(store.sessions()))}
         sessions = [
             {
@@ -65,7 +65,7 @@ def info(map_: MAP, as_json: JSON = False) -> None:
             "n_loops": sum(loop.kind == EdgeKind.LOOP for loop in loops),
             "n_covisibility_edges": sum(loop.kind != EdgeKind.LOOP for loop in loops),
             "n_components": len(set(components_of(store).tolist())),
-            "n_rooms": len(regions),
+            "n_rooms": len(rooms),
             "bytes": size,
             "bytes_per_keyframe": round(size / max(len(keyframes), 1)),
             "camera": None if camera is None else asdict(camera),

@@ -251,23 +251,10 @@ def image(
     as_json: JSON = False,
 ) -> None:
     """Print the scene label that a model gives a single depth image."""
-    form: Format = "json" if as_json else format_
-    _label_image(path, model, map_, intrinsics, depth_scale, min_probability, form, by)
-
-
-def _label_image(
-    path: Path,
-    model: str,
-    map_: Path | None,
-    intrinsics: str | None,
-    depth_scale: float | None,
-    min_probability: float,
-    form: Format,
-    by: LabelledBy = "levelled",
-) -> None:
     from slam_bof.cli.console import print_json
     from slam_bof.scenes import label_frame, model as models
 
+    form: Format = "json" if as_json else format_
     chosen = models.resolve(model)
     frame, source = read_image(path, map_, intrinsics=intrinsics, depth_scale=depth_scale)
     answer = label_frame(

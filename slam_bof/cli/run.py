@@ -18,7 +18,7 @@ from slam_bof.errors import ConfigError
 
 if TYPE_CHECKING:
     from slam_bof.ports import Dataset, Observer
-    from slam_bof.run import RunResult
+    from slam_bof.run import RunOptions, RunResult
     from slam_bof.slam import Config
 
 __all__ = ["run", "run_new"]
@@ -105,6 +105,8 @@ def run(
     quiet: QUIET = False,
 ) -> None:
     """Run the mini-SLAM over a sequence; write trajectory, loops, labels and map to a folder."""
+    from slam_bof.run import RunOptions
+
     sequences = sequences or []
     sequence = sequences[0] if sequences else None
     if scheduler is not None and len(sequences) < 2:
@@ -112,6 +114,9 @@ def run(
     if len(sequences) > 1 and (resume is not None or map_ is not None):
         option = "--map" if resume is None else "--resume"
         raise typer.BadParameter(f"found {len(sequences)} sequences with {option}, expected one")
+    if sequence is None and resume is None:
+        raise typer.BadParameter("found no SEQUENCE, expected one, or --resume")
+    options = RunOptions(max_frames=max_frames, with_color=color, z_up=z_up)
     if resume is not None:
         _refuse_with_resume(
             {
@@ -127,42 +132,34 @@ def run(
             sequence,
             map_file(resume),
             out,
+            options,
             frames=frames,
-            max_frames=max_frames,
-            with_color=color,
-            z_up=z_up,
             view=view,
             quiet=quiet,
             as_json=as_json,
         )
         return
-    if sequence is None:
-        raise typer.BadParameter("found no SEQUENCE, expected one, or --resume")
     chosen = _configuration(config, assignments or [], dataset=dataset, model=model, seed=seed)
     if len(sequences) > 1:
         run_many(
             sequences,
             chosen,
             out,
+            options,
             n_jobs=jobs if scheduler is None else None,
             scheduler=scheduler,
             frames=frames,
-            max_frames=max_frames,
-            with_color=color,
-            z_up=z_up,
             quiet=quiet,
             as_json=as_json,
         )
         return
     run_new(
-        sequence,
+        sequences[0],
         chosen,
         out,
+        options,
         frames=frames,
-        max_frames=max_frames,
         map_=None if map_ is None else map_file(map_),
-        with_color=color,
-        z_up=z_up,
         view=view,
         quiet=quiet,
         as_json=as_json,
@@ -196,12 +193,10 @@ def run_new(
     sequence: Path,
     config: Config,
     out: Path,
+    options: RunOptions,
     *,
     frames: str | None = None,
-    max_frames: int | None,
     map_: Path | None = None,
-    with_color: bool = False,
-    z_up: bool = False,
     view: str | None = None,
     quiet: bool,
     as_json: bool,
@@ -215,11 +210,9 @@ def run_new(
             dataset,
             config,
             out,
+            options,
             map_file=map_,
             observer=observer,
-            max_frames=max_frames,
-            with_color=with_color,
-            z_up=z_up,
             source=json.dumps({"path": str(sequence.resolve()), "frames": frames}),
             remarks=remarks,
         )
@@ -232,11 +225,9 @@ def _resume(
     sequence: Path | None,
     map_: Path,
     out: Path,
+    options: RunOptions,
     *,
     frames: str | None,
-    max_frames: int | None,
-    with_color: bool,
-    z_up: bool,
     view: str | None,
     quiet: bool,
     as_json: bool,
@@ -262,16 +253,7 @@ def _resume(
             )
     dataset, remarks = open_sequence(sequence, config.dataset, frames, quiet=quiet)
     with _observer(sequence, dataset, frames, view, quiet=quiet) as observer:
-        result = resume_sequence(
-            dataset,
-            map_,
-            out,
-            observer=observer,
-            max_frames=max_frames,
-            with_color=with_color,
-            z_up=z_up,
-            remarks=remarks,
-        )
+        result = resume_sequence(dataset, map_, out, options, observer=observer, remarks=remarks)
         if view is not None:
             _view_map(observer, result.folder)
     _show(result, as_json=as_json)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -13,6 +13,7 @@ from slam_bof.cli.inputs import open_sequence
 from slam_bof.cli.one_line import one_line
 
 if TYPE_CHECKING:
+    from slam_bof.run import RunOptions
     from slam_bof.slam import Config
 
 __all__ = ["run_many"]
@@ -22,13 +23,13 @@ def run_many(
     sequences: list[Path],
     config: Config,
     out: Path,
+    options: RunOptions,
     *,
     n_jobs: int | None,
     scheduler: str | None,
     frames: str | None,
     quiet: bool,
     as_json: bool,
-    **options: Any,
 ) -> None:
     """Run sequences in folders of their own and print a table of all; exit with 1 if one failed."""
     from slam_bof.cli.console import Bar, print_json, print_table
@@ -41,9 +42,7 @@ def run_many(
         nullcontext() if scheduler is None else on_cluster(scheduler),
         Bar("Running sequences", quiet=quiet) as bar,
     ):
-        found = run_sequences(
-            sequences, open_, config, out, n_jobs=n_jobs, frames=frames, **options
-        )
+        found = run_sequences(sequences, open_, config, out, options, n_jobs=n_jobs, frames=frames)
         for one in found:
             done.append(one)
             bar.show(len(done), len(sequences))

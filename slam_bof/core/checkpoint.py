@@ -89,7 +89,7 @@ _kinds: dict[type, bool] = {}
 
 
 def _choose_mutable(things: Collection[object]) -> list[object]:
-    """Return the objects that may change in place: mostly none of thousands, by few types."""
+    """Return the objects that may change in place; thousands of objects have few types."""
     kinds = {kind for kind in set(map(type, things)) if _is_mutable(kind)}
     return [thing for thing in things if type(thing) in kinds] if kinds else []
 

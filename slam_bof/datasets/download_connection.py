@@ -27,9 +27,9 @@ def printable(text: object) -> str:
 
 
 class Watchdog:
-    """Cuts a connection that makes no progress, of which a time limit on each byte is no guard.
+    """Context manager that cuts a connection that makes no progress.
 
-    A context manager.
+    A time limit for each read would not: a server may send a byte now and then.
 
     Parameters
     ----------

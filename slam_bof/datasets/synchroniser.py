@@ -206,7 +206,7 @@ class FramePoseSynchroniser:
         return se3.interpolate(self._poses[after - 1], self._poses[after], fraction)
 
     def _forget(self) -> None:
-        """Let go of poses that no frame, waiting or to come, can need."""
+        """Forget poses that no frame, waiting or to come, can need."""
         n_old = bisect.bisect_left(self._stamps_s, self._last_s - self.params.max_gap_s)
         del self._stamps_s[:n_old], self._poses[:n_old]
 

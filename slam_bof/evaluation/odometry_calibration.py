@@ -31,7 +31,9 @@ MIN_VISIBLE_RATIO = 0.3
 MAX_OFFSET_S = 0.2
 """Largest difference of clocks that is looked for."""
 STARTS_S = (-0.1, 0.0, 0.1)
+"""Differences of clocks at which the fit starts, since it finds the nearest minimum only."""
 MIN_MOTIONS = 20
+"""Least number of motions, to which five unknowns are fitted."""
 
 
 class FrameMotion(NamedTuple):

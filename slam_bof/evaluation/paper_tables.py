@@ -149,22 +149,9 @@ def _measure(
             bags.append(tf_idf.bag(of_frame))
     training, classification, classifier = _classify(frames, matrix, seed)
 
-    one_frame, extraction, represent = run.one_frame, run.all_frames, lookup + weighing
-    processes = {
-        1: Cost(one_frame.cpu_s / N_REPEATS, one_frame.wall_s / N_REPEATS),
-        2: extraction,
-        3: codebook,
-        4: represent,
-        5: training,
-        6: classification,
-        7: extraction + represent,
-        8: codebook + training,
-        9: extraction + represent + classification,
-    }
     column: dict[str, Any] = {
-        "process_cpu_s": {str(k): cost.cpu_s for k, cost in processes.items()},
-        "process_wall_s": {str(k): cost.wall_s for k, cost in processes.items()},
-        "describe_ms": extraction.median_ms,
+        **_processes(run, codebook, lookup + weighing, training, classification),
+        "describe_ms": run.all_frames.median_ms,
         "bag_ms": 1e3 * float(np.median(np.add(lookup.calls_s, bagging.calls_s))),
         "descriptors": len(run),
         "samples": len(samples),
@@ -178,6 +165,28 @@ def _measure(
         column["recall"] = _recall(frames, bags, n_words)
         column |= _measure_compressed(frames, run, vocabulary, tf_idf, words)
     return column, bags
+
+
+def _processes(
+    run: DescriptorRun, codebook: Cost, represent: Cost, training: Cost, classification: Cost
+) -> dict[str, dict[str, float]]:
+    """Return the times of the paper's nine processes, the last three of which are sums."""
+    one_frame, extraction = run.one_frame, run.all_frames
+    costs = (
+        Cost(one_frame.cpu_s / N_REPEATS, one_frame.wall_s / N_REPEATS),
+        extraction,
+        codebook,
+        represent,
+        training,
+        classification,
+        extraction + represent,
+        codebook + training,
+        extraction + represent + classification,
+    )
+    return {
+        "process_cpu_s": {str(k): cost.cpu_s for k, cost in enumerate(costs, start=1)},
+        "process_wall_s": {str(k): cost.wall_s for k, cost in enumerate(costs, start=1)},
+    }
 
 
 def _classify(

@@ -18,6 +18,7 @@ from slam_bof.types import Array, Pose, Trajectory
 __all__ = ["ErrorStats", "align_trajectory", "associate", "ate", "nees", "rpe"]
 
 MAX_DIFFERENCE_S = 0.01
+"""Largest difference of the times of two poses that are compared, as by default in evo."""
 MIN_POSES = 3
 """Least number of poses; an alignment of fewer leaves no error to measure."""
 

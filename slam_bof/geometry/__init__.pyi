@@ -42,6 +42,7 @@ from .observability import (
 )
 from .projective_icp import (
     AlignmentParams as AlignmentParams,
+    SurfacePairs as SurfacePairs,
     ViewAligner as ViewAligner,
 )
 from .registration_quality import (

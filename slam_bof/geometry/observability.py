@@ -29,6 +29,7 @@ MIN_SCORE_DROP = 0.02
 OPEN_INFORMATION = 1e-6
 """Share of the information that is kept along open directions, so that it stays invertible."""
 KEEP_ITERATIONS = 2
+"""Linear steps of ``keep``; what the first leaves is of second order in the turn."""
 HELD_INFORMATION = 1e-4
 """Least share of the information along a direction that is not open."""
 NOISE_FACTOR = 1.5
@@ -36,8 +37,11 @@ NOISE_FACTOR = 1.5
 were independent. Neighbours err alike; on synthetic scenes the factor is 1.1 to 2.7, whatever the
 sensor and the direction."""
 MIN_VARIANCE_M2 = 1e-10
+"""Least variance of an alignment: exact depth, as of tests, would make its information infinite."""
 MIN_PAIRS = 30
+"""Least number of pairs: five for each of the six directions."""
 MIN_RADIUS_M = 0.05
+"""Least radius of the points, by which their moments are divided."""
 
 
 class PrincipalDirections(NamedTuple):
@@ -191,6 +195,6 @@ def open_directions(
 
     here, *shifted = score(one_way)
     is_open = here - np.array(shifted) < MIN_SCORE_DROP
-    if is_open.any():  # for others the second way would be of no account
+    if is_open.any():  # the others are held already
         is_open[is_open] = here - score(other_way[is_open]) < MIN_SCORE_DROP
     return directions, weak[:, is_open]

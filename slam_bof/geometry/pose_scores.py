@@ -31,6 +31,7 @@ __all__ = [
 SCORE_TOLERANCES = ((0.05, 0.02), (0.02, 0.01), (0.01, 0.005))
 """Tolerances in m and as a share of depth, from coarse to fine."""
 N_SCORE_POINTS = 500
+"""Largest number of points of either view that are compared."""
 
 
 class AgreementScore(NamedTuple):

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from slam_bof.types import Array, Params, Pose, Verification
+from slam_bof.geometry.projective_icp import SurfacePairs
+from slam_bof.types import Params, Pose, Verification
 
 __all__ = ["RegistrationQualityParams", "assess_registration", "reject"]
 
@@ -42,11 +43,8 @@ class RegistrationQualityParams(Params):
 def assess_registration(
     params: RegistrationQualityParams,
     T_match_query: Pose,
-    points_query: Array,
-    normals_query: Array,
-    residuals_m: Array,
+    pairs: SurfacePairs,
     *,
-    facing_query: Array | None = None,
     overlap: float,
     guessed: bool,
     reason_against: str = "",
@@ -59,14 +57,10 @@ def assess_registration(
         What it needs.
     T_match_query
         (4, 4) the alignment.
-    points_query, normals_query
-        (M, 3) each, in the query's camera frame: points, and normals of the match's surfaces
-        that they lie on.
-    residuals_m
-        (M,) from point to surface, along the normal.
-    facing_query
-        (M, 3) normals of the query's own surfaces there, if they are known. Their noise is
-        independent of that of the match's, so that it does not count as stiffness.
+    pairs
+        The points that lie on surfaces of the match. The noise of normals does not count as
+        stiffness, since that of the query's own surfaces is independent of that of the match's;
+        where the query's are not known, ``facing_query`` are the match's as well.
     overlap
         Share of the query's points that are inliers in the match.
     guessed
@@ -74,13 +68,13 @@ def assess_registration(
     reason_against
         Another reason to reject it; empty if there is none.
     """
+    points, normals, facing, residuals_m = pairs
     if len(residuals_m) == 0:
         return reject("no correspondences", T_match_query, overlap=overlap)
     rmse_m = float(np.sqrt(np.mean(residuals_m**2)))
-    jacobian = np.hstack([np.cross(points_query, normals_query), normals_query])
+    jacobian = np.hstack([np.cross(points, normals), normals])
     information = jacobian.T @ jacobian
-    facing = normals_query if facing_query is None else facing_query
-    cross = np.hstack([np.cross(points_query, facing), facing]).T @ jacobian
+    cross = np.hstack([np.cross(points, facing), facing]).T @ jacobian
     least = np.linalg.eigvalsh(0.5 * (cross + cross.T))[0]
     stiffness = max(float(least), 0.0) / len(residuals_m)  # noise may be less than nothing
     min_overlap = params.min_overlap if guessed else params.min_overlap_global

@@ -11,6 +11,7 @@ from .covisibility import (
     find_covisible as find_covisible,
 )
 from .decisions import (
+    MapPoses as MapPoses,
     VerificationParams as VerificationParams,
 )
 from .detector import (

@@ -95,20 +95,6 @@ class MapPoses:
     path_m: Array
     components: NDArray[np.integer[Any]]
 
-    @classmethod
-    def of(
-        cls, T_map_camera: Array, path_m: Array | None, components: NDArray[np.integer[Any]] | None
-    ) -> MapPoses:
-        """Take one component and straight lines between keyframes where nothing else is known."""
-        if components is None:
-            components = np.zeros(len(T_map_camera), dtype=np.int64)
-        if path_m is None:
-            steps_m = np.linalg.norm(np.diff(T_map_camera[:, :3, 3], axis=0), axis=1)
-            # The distance between components does not say how far the camera went.
-            travelled_m = np.append(0.0, np.cumsum(steps_m * (np.diff(components) == 0)))
-            path_m = travelled_m[-1] - travelled_m
-        return cls(T_map_camera, path_m, components)
-
     def joins_components(self, pair: Candidate | Loop) -> bool:
         """Return whether the two keyframes are in different components."""
         return bool(self.components[pair.query_id] != self.components[pair.match_id])

@@ -135,10 +135,7 @@ class LoopVerification:
         self,
         candidates: Sequence[Candidate],
         aligned: Sequence[Verification | None],
-        T_map_camera: Array,
-        *,
-        path_m: Array | None = None,
-        components: NDArray[np.integer[Any]] | None = None,
+        poses: MapPoses,
     ) -> Verified:
         """Accept or reject the candidates of the newest keyframe that are still open.
 
@@ -149,16 +146,9 @@ class LoopVerification:
         ----------
         candidates, aligned
             The candidates, and the answers of ``align``.
-        T_map_camera
-            (K, 4, 4) poses of all keyframes in the map so far.
-        path_m
-            (K,) length of the shortest path in the pose graph from each to the newest, over which
-            the map may have drifted; by default along straight lines from one to the next.
-        components
-            (K,) component of each; by default all are in one. Poses of different components cannot
-            be compared.
+        poses
+            The poses of all keyframes in the map so far.
         """
-        poses = MapPoses.of(T_map_camera, path_m, components)
         decided: list[Candidate] = []
         edges: list[Loop] = []
         loops: list[Loop] = []
@@ -169,7 +159,7 @@ class LoopVerification:
                     is_loop = candidate.kind == EdgeKind.LOOP
                     (loops if is_loop else edges).append(_edge(candidate, verified))
             decided.append(candidate)
-        admitted = self.admit(loops, T_map_camera, poses.components)
+        admitted = self.admit(loops, poses.T_map_camera, poses.components)
         return Verified(_hold(decided, admitted, poses), edges + loops, edges + admitted)
 
     def admit(

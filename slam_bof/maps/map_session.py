@@ -216,7 +216,7 @@ def finish_session(
             frames=closer.frames_since_keyframe,
             T_map_camera=T_map_camera,
             smoothed=smoothed,
-            regions=rooms,
+            rooms=rooms,
             left_out=closer.map.loops_left_out,
             reason=LEFT_OUT_REASON,
         ),

@@ -73,7 +73,7 @@ class _MapView:
         if not np.isfinite(self._poses).all():
             raise interrupted(store)
         self._components, self._infos = components_of(store), query_keyframes(store)
-        self._rooms = [room for room in store.regions() if room.keyframe_ids]
+        self._rooms = [room for room in store.rooms() if room.keyframe_ids]
         self._room_of = {k: room for room in self._rooms for k in room.keyframe_ids}
         self._pairs: dict[int, list[Candidate]] = defaultdict(list)
         for pair in store.candidates():

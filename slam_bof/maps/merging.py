@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from slam_bof.core import StageClock
 from slam_bof.errors import MapError
 from slam_bof.geometry import restore_frame
 from slam_bof.scenes import label_map
-from slam_bof.slam import KeyframeMap, config as configs
+from slam_bof.slam import Config, KeyframeMap, config as configs
 from slam_bof.store import MapStore, SessionResult, replay_keyframes, require_intact
 from slam_bof.types import LOST, FramePose, KeyframeRecord
 
@@ -67,11 +67,7 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
     sessions = target.sessions()
     _check_finished(target, paths[0])
     config = configs.parse_saved(sessions[-1].config, f"{paths[0]}: session {sessions[-1].id}")
-    keyframes = KeyframeMap(config, StageClock())
-    for record in replay_keyframes(target):
-        while keyframes.session < record.keyframe.session:
-            keyframes.begin_session()
-        keyframes.replay(record)
+    keyframes = _replay(target, config)
     starts: list[int] = []
     tails: dict[int, list[FramePose]] = {}
     for path in paths[1:]:
@@ -84,9 +80,40 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
                 id_ = keyframes.session
                 target.begin_session(replace(session, id=id_, is_finished=False))
                 tails[id_] = _add_session(keyframes, target, other, session.id)
+    _finish(target, keyframes, config, tails)
+    loops = keyframes.loops
+    across = sum(any(loop.match_id < start <= loop.query_id for start in starts) for loop in loops)
+    return MergeResult(
+        n_sessions=keyframes.session + 1,
+        n_keyframes=len(keyframes),
+        n_loops_across=across,
+        n_components=keyframes.n_components,
+    )
+
+
+def _replay(store: MapStore, config: Config) -> KeyframeMap:
+    """Return the keyframes of a saved map, to continue it."""
+    keyframes = KeyframeMap(config, StageClock())
+    for record in replay_keyframes(store):
+        while keyframes.session < record.keyframe.session:
+            keyframes.begin_session()
+        keyframes.replay(record)
+    return keyframes
+
+
+def _finish(
+    target: MapStore,
+    keyframes: KeyframeMap,
+    config: Config,
+    tails: Mapping[int, list[FramePose]],
+) -> None:
+    """Optimise and label the whole map, and finish the sessions that were added to it.
+
+    ``tails`` are the frames after the last keyframe of each of these.
+    """
     keyframes.graph.optimize()
-    T_map_camera, graph = keyframes.poses(), keyframes.graph
-    smoothed, regions = label_map(
+    T_map_camera = keyframes.poses()
+    smoothed, rooms = label_map(
         keyframes.keyframes,
         T_map_camera,
         config.labels,
@@ -99,20 +126,11 @@ def _merge_into_first(target: MapStore, paths: Sequence[Path]) -> MergeResult:
             frames=frames,
             T_map_camera=T_map_camera,
             smoothed=smoothed,
-            regions=regions,
-            left_out=graph.left_out,
+            rooms=rooms,
+            left_out=keyframes.loops_left_out,
             reason=LEFT_OUT_REASON,
         )
         target.finish(id_, result)
-    across = sum(
-        any(loop.match_id < start <= loop.query_id for start in starts) for loop in graph.loops
-    )
-    return MergeResult(
-        n_sessions=keyframes.session + 1,
-        n_keyframes=len(keyframes),
-        n_loops_across=across,
-        n_components=len(graph.components),
-    )
 
 
 def _add_session(

@@ -9,6 +9,9 @@ from .many import (
     SequenceRun as SequenceRun,
     run_sequences as run_sequences,
 )
+from .options import (
+    RunOptions as RunOptions,
+)
 from .plan import (
     read_plans as read_plans,
 )

@@ -15,6 +15,7 @@ from slam_bof.maps import finish_session, restore_session
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
 from slam_bof.run.logging_observer import LoggingObserver
 from slam_bof.run.metrics import Metrics, compute_metrics
+from slam_bof.run.options import RunOptions
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
 from slam_bof.slam import Config, LoopCloser, MiniSlam, SlamResult, of_session
@@ -52,9 +53,7 @@ class Job:
     dataset: Dataset
     config: Config
     observer: LoggingObserver
-    max_frames: int | None
-    with_color: bool
-    z_up: bool
+    options: RunOptions
     clock: StageClock
     odometry: Odometry
     closer: LoopCloser
@@ -65,10 +64,7 @@ class Job:
         dataset: Dataset,
         config: Config,
         observer: Observer | None,
-        max_frames: int | None,
-        *,
-        with_color: bool,
-        z_up: bool,
+        options: RunOptions,
     ) -> Job:
         """Build the odometry and the plug-in that the configuration names."""
         clock = StageClock()
@@ -76,9 +72,7 @@ class Job:
             dataset=dataset,
             config=config,
             observer=LoggingObserver(observer or NullObserver(), first_frame(dataset)),
-            max_frames=max_frames,
-            with_color=with_color,
-            z_up=z_up,
+            options=options,
             clock=clock,
             odometry=registry.build("odometry", config.odometry.name, config.odometry.options),
             closer=LoopCloser.from_config(config, clock=clock),
@@ -101,7 +95,7 @@ def run_job(
             slam = MiniSlam(job.odometry, closer, observer=job.observer, clock=job.clock)
             closer.journal = lambda record: writer.write(record, slam.odometry_state(record))
             with job.observer.health.saved_in(folder / "health.csv", len(closer.history)):
-                result = slam.run(job.dataset, max_frames=job.max_frames, odometry=odometry)
+                result = slam.run(job.dataset, max_frames=job.options.max_frames, odometry=odometry)
             if result.n_resumed:
                 logger.info(
                     "resumed after %d frames; the odometry ran again over %d of them",
@@ -175,8 +169,7 @@ def _finish(
         groundtruth=groundtruth and delayed(groundtruth, config.groundtruth_offset_s),
         groundtruth_offset_s=config.groundtruth_offset_s if groundtruth else None,
         true_scenes=None if scenes is None else [scenes[i] for i in frame_indices],
-        with_color=job.with_color,
-        z_up=job.z_up,
+        options=job.options,
         live=job.observer.health.trajectory(result.optimized.stamps_s),
         health=job.observer.health.frames,
         usage=used,

@@ -8,14 +8,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import joblib
 
 from slam_bof.errors import SlamBofError
 from slam_bof.ports import Dataset
 from slam_bof.run.job import RunResult
-from slam_bof.run.run import run_sequence
+from slam_bof.run.options import RunOptions
+from slam_bof.run.run import WHOLE, run_sequence
 from slam_bof.slam import Config
 
 __all__ = ["SequenceRun", "run_sequences"]
@@ -40,10 +40,10 @@ def run_sequences(
     open_: Open,
     config: Config,
     out: Path,
+    options: RunOptions = WHOLE,
     *,
     n_jobs: int | None = 1,
     frames: str | None = None,
-    **options: Any,
 ) -> Iterator[SequenceRun]:
     """Run the mini-SLAM over sequences, each with a folder of its own under ``out``.
 
@@ -56,12 +56,12 @@ def run_sequences(
         The sequences, and the function that opens one.
     config, out
         All parameters of all runs, and the folder for theirs.
+    options
+        How far each run goes, and how it writes ``map.ply``.
     n_jobs
         Number of runs at a time, each in a process of its own; None for that of the cluster.
     frames
         The frames of each sequence that ``open_`` selects, to be kept in the map for resuming.
-    options
-        ``max_frames``, ``with_color`` and ``z_up`` of ``run_sequence``.
 
     Yields
     ------
@@ -69,7 +69,7 @@ def run_sequences(
         In the order of the sequences.
     """
     jobs = [
-        joblib.delayed(_run)(sequence, open_, config, folder, frames, options)
+        joblib.delayed(_run)(sequence, open_, config, folder, options, frames)
         for sequence, folder in zip(sequences, _folders(sequences, out), strict=True)
     ]
     yield from joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs)
@@ -80,13 +80,13 @@ def _run(
     open_: Open,
     config: Config,
     out: Path,
+    options: RunOptions,
     frames: str | None,
-    options: dict[str, Any],
 ) -> SequenceRun:
     source = json.dumps({"path": str(sequence.resolve()), "frames": frames})
     try:
         dataset, remarks = open_(sequence)
-        result = run_sequence(dataset, config, out, source=source, remarks=remarks, **options)
+        result = run_sequence(dataset, config, out, options, source=source, remarks=remarks)
     except SlamBofError as error:
         return SequenceRun(sequence, None, str(error))
     except Exception as error:

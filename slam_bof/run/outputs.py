@@ -66,8 +66,8 @@ def write_outputs(
             record.dataset,
             shown,
             result.T_map_camera[inside],
-            with_color=record.with_color,
-            z_up=record.z_up,
+            with_color=record.options.with_color,
+            z_up=record.options.z_up,
         )
     with keep_going("report.html", warn):
         write_report(

@@ -41,7 +41,7 @@ def read_plans(store: MapStore) -> list[Plan]:
                 origin_m=grid.origin_m,
                 T_plan_map=grid.T_plan_map,
                 positions_map=T_map_camera[:, :3, 3],
-                rooms=[r for r in store.regions() if set(r.keyframe_ids) <= set(inside.tolist())],
+                rooms=[r for r in store.rooms() if set(r.keyframe_ids) <= set(inside.tolist())],
                 ways=[way.tolist() for way in ways if components[way[0]] == component],
             )
             plans.append(plan)

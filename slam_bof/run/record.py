@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from slam_bof.core import StageClock, Usage
 from slam_bof.ports import Dataset
+from slam_bof.run.options import RunOptions
 from slam_bof.slam import LoopCloser, SlamResult
 from slam_bof.types import Candidate, Scene, Trajectory
 from slam_bof.visualization import FrameHealth
@@ -34,10 +35,8 @@ class RunRecord:
         where the data set has none.
     groundtruth_offset_s
         Time that was added to the time stamps of the true poses, None without true poses.
-    with_color
-        Whether ``map.ply`` may have the colour of the data set.
-    z_up
-        Whether ``map.ply`` is in a frame with z up instead of that of the map.
+    options
+        How far the run goes, and how it writes ``map.ply``.
     live
         The pose of each frame in the map as it was known at the time; None for a resumed run.
     health
@@ -56,8 +55,7 @@ class RunRecord:
     groundtruth: Trajectory | None
     groundtruth_offset_s: float | None
     true_scenes: Sequence[str] | None
-    with_color: bool
-    z_up: bool
+    options: RunOptions
     live: Trajectory | None
     health: Sequence[FrameHealth]
     usage: Usage

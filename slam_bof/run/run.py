@@ -6,6 +6,7 @@ import importlib.metadata
 import logging
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 from slam_bof.errors import MapError
@@ -13,10 +14,14 @@ from slam_bof.maps import check_session, with_model_of
 from slam_bof.ports import Dataset, Observer, ScaledDataset
 from slam_bof.run.folder import as_run_errors, link_map, logging_to, make_folder
 from slam_bof.run.job import Job, RunResult, run_job
+from slam_bof.run.options import RunOptions
 from slam_bof.slam import Config, LoopCloser, config as configs
 from slam_bof.store import MapStore, Session
 
 __all__ = ["resume_sequence", "run_sequence"]
+
+WHOLE = RunOptions()
+"""All frames, and a map without colour in its own frame."""
 
 logger = logging.getLogger(__name__)
 
@@ -25,12 +30,10 @@ def run_sequence(
     dataset: Dataset,
     config: Config,
     out: Path,
+    options: RunOptions = WHOLE,
     *,
     map_file: Path | None = None,
     observer: Observer | None = None,
-    max_frames: int | None = None,
-    with_color: bool = False,
-    z_up: bool = False,
     source: str = "",
     remarks: Sequence[str] = (),
 ) -> RunResult:
@@ -42,17 +45,13 @@ def run_sequence(
         The sequence and all parameters.
     out
         The folder in which the run's folder is created.
+    options
+        How far the run goes, and how it writes ``map.ply``.
     map_file
         A map to which the sequence is added as another session; it is created if it does not
         exist. By default the run creates a map of its own in its folder.
     observer
         Is informed of every step and warning.
-    max_frames
-        Stop after this many frames.
-    with_color
-        Give the points of ``map.ply`` the data set's colour, which may show people.
-    z_up
-        Write ``map.ply`` in a frame with z up and 0 on the floor instead of that of the map.
     source
         Where the sequence is, to be kept in the map for ``run --resume``.
     remarks
@@ -69,7 +68,7 @@ def run_sequence(
     if map_file is not None and map_file.exists():
         with MapStore.open(map_file) as earlier:
             config = with_model_of(earlier, config)
-    job = Job.prepare(dataset, config, observer, max_frames, with_color=with_color, z_up=z_up)
+    job = Job.prepare(dataset, config, observer, options)
     with ExitStack() as stack:
         store = None
         if map_file is not None:
@@ -92,7 +91,7 @@ def run_sequence(
             config=configs.dump(config),
             seed=config.seed,
             version=importlib.metadata.version("slam-bof"),
-            max_frames=max_frames,
+            max_frames=options.max_frames,
         )
         store.set_parameters({"source": source, "units_per_m": _units_per_m(dataset)})
         return run_job(job, folder, store, session, is_new=True)
@@ -102,11 +101,9 @@ def resume_sequence(
     dataset: Dataset,
     map_file: Path,
     out: Path,
+    options: RunOptions = WHOLE,
     *,
     observer: Observer | None = None,
-    max_frames: int | None = None,
-    with_color: bool = False,
-    z_up: bool = False,
     remarks: Sequence[str] = (),
 ) -> RunResult:
     """Resume an interrupted run after its last saved keyframe.
@@ -136,8 +133,8 @@ def resume_sequence(
             )
         config = configs.parse_saved(session.config, f"{map_file}: session {session.id}")
         config = with_model_of(store, config)
-        n_frames = max_frames or session.max_frames
-        job = Job.prepare(dataset, config, observer, n_frames, with_color=with_color, z_up=z_up)
+        options = replace(options, max_frames=options.max_frames or session.max_frames)
+        job = Job.prepare(dataset, config, observer, options)
         _check_ready(store, dataset, job.closer, is_new=False)
         is_in_folder = _is_folder_of(map_file.parent, session)
         folder = map_file.parent if is_in_folder else make_folder(out)

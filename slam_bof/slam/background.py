@@ -58,7 +58,7 @@ class _Failure:
     error: Exception
 
 
-class _Stays:
+class _Unsendable:
     """Stands for an attribute that cannot be sent, and whether it is a method."""
 
     def __init__(self, is_method: bool) -> None:
@@ -116,7 +116,9 @@ class BackgroundMapping:
 
     def submit(self, job: KeyframeJob) -> None:
         """Take a frame; the caller may reuse its image."""
-        self._unsent.append(replace(job, frame=replace(job.frame, depth=job.frame.depth.copy())))
+        tracked = job.tracked
+        frame = replace(tracked.frame, depth=tracked.frame.depth.copy())
+        self._unsent.append(replace(job, tracked=replace(tracked, frame=frame)))
 
     def send(self) -> None:
         """Hand the frames to the process."""
@@ -220,7 +222,7 @@ class _RemoteMap:
     def __getattr__(self, name: str) -> Any:
         path = f"{self._path}{name}"
         value = self._call(path)
-        if not isinstance(value, _Stays):
+        if not isinstance(value, _Unsendable):
             return value
         if value.is_method:
             return lambda *arguments: self._call(path, arguments)
@@ -281,11 +283,11 @@ def _answer(map_: KeyframeMap | _Failure, request: KeyframeJob | _Call) -> bytes
 def _dumps(number: int | None, value: object) -> bytes:
     """Return the pickled answer, or what stands for a value that cannot be pickled."""
     if isinstance(value, MethodType):
-        return pickle.dumps(_Answer(number, (_Stays(is_method=True),)))
+        return pickle.dumps(_Answer(number, (_Unsendable(is_method=True),)))
     try:
         return pickle.dumps(_Answer(number, (value,)), PROTOCOL)
     except (TypeError, AttributeError, pickle.PicklingError):
-        return pickle.dumps(_Answer(number, (_Stays(is_method=False),)))
+        return pickle.dumps(_Answer(number, (_Unsendable(is_method=False),)))
 
 
 def _fail(number: int | None, error: Exception) -> bytes:

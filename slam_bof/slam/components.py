@@ -55,7 +55,7 @@ class MapComponents:
                 self._of_segment[segment] = older
 
     def cull(self, keyframe_ids: list[int]) -> None:
-        """Count keyframes as no longer in use."""
+        """Mark keyframes as culled."""
         self._in_use.put(keyframe_ids, CULLED)
 
     def of_keyframes(self) -> NDArray[np.int64]:

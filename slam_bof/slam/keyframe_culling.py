@@ -1,11 +1,11 @@
 """Keyframe culling: where enough keyframes show a place, later ones are removed from the map.
 
 The reduced pose graph of Johannsson et al. (ICRA 2013), with the test of ORB-SLAM that several
-others see the same: a keyframe goes if enough older ones stand where it stands and look where it
-looks, and geometry has verified a loop to one of these, its anchor. It leaves the search index,
-the stored views and the pose graph; its pose stays fixed to that of the anchor. The decision falls
-once, when nothing waits for the keyframe any more. What is kept then is kept for good, so that the
-number of keyframes depends on the size of the place, not on the time spent in it.
+others see the same: a keyframe is removed if enough older ones have its viewpoint, and geometry has
+verified a loop to one of these, its anchor. It leaves the search index, the stored views and the
+pose graph; its pose stays fixed to that of the anchor. Each keyframe is decided about once, when
+none of its loops waits for others to agree. A keyframe that is kept then is never removed, so that
+the number of keyframes depends on the size of the place, not on the time spent in it.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class MapParams(Params):
     max_memory_mb: float | None = Field(
         None,
         gt=0,
-        description="Memory of the process, in MB, from which new keyframes are not searched for "
-        "loops any more, nor kept to be found; null is nine tenths of the memory of the machine.",
+        description="Memory of the process, in MB, from which new keyframes are neither searched "
+        "for loops nor kept to be found; null is nine tenths of the memory of the machine.",
     )
 
 

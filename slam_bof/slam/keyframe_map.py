@@ -20,6 +20,7 @@ from slam_bof.geometry import (
 from slam_bof.loops import (
     LoopCounts,
     LoopVerification,
+    MapPoses,
     RankedCandidates,
     Verified,
     find_covisible,
@@ -242,18 +243,16 @@ class KeyframeMap:
         with self._clock.stage("verify"):
             points = points_camera(frame, self._cloud_params(frame))
             proposed = {c.match_id for c in found.candidates if c.decision != Decision.REJECTED}
-            T_map_camera, components = self.graph.T_map_camera, self.graph.components.in_use()
             covisible = [] if is_full else self._find_covisible(frame, points)
             self._verification.add(frame, points)
             candidates = found.candidates + [c for c in covisible if c.match_id not in proposed]
-            aligned = self._verification.align(candidates, T_map_camera, found.guesses)
-            verified = self._verification.decide(
-                candidates,
-                aligned,
-                T_map_camera,
-                path_m=self.graph.shortest_paths_m() if candidates else None,
-                components=components,
+            poses = MapPoses(
+                T_map_camera=self.graph.T_map_camera,
+                path_m=self.graph.shortest_paths_m() if candidates else np.empty(0),
+                components=self.graph.components.in_use(),
             )
+            aligned = self._verification.align(candidates, poses.T_map_camera, found.guesses)
+            verified = self._verification.decide(candidates, aligned, poses)
         self._add_loops(verified.admitted)
         if is_full:
             self._detector.remove([keyframe.id])
@@ -263,7 +262,7 @@ class KeyframeMap:
         return verified
 
     def cull(self) -> tuple[tuple[int, int], ...]:
-        """Let go of keyframes that show nothing new; return the id of each and of its anchor.
+        """Cull keyframes that show nothing new; return the id of each and of its anchor.
 
         They leave the search, the stored views and the pose graph; ``poses`` still has them.
         """
@@ -271,7 +270,7 @@ class KeyframeMap:
             return ()
         with self._clock.stage("optimize"):
             anchors = self._culling.choose(self.graph, self._verification.waiting)
-            self._let_go(anchors)
+            self._remove_culled(anchors)
         return tuple(anchors.items())
 
     def replay(self, record: KeyframeRecord) -> None:
@@ -287,7 +286,7 @@ class KeyframeMap:
         components = self.graph.components.in_use()
         self._verification.admit(loops, self.graph.T_map_camera, components)
         self._add_loops(record.admitted)
-        self._let_go(dict(record.culled))
+        self._remove_culled(dict(record.culled))
 
     def state(self) -> dict[str, Any]:
         """Return the state that keyframe records do not contain, as JSON values."""
@@ -302,7 +301,7 @@ class KeyframeMap:
         self._verification.n_global_registrations = state.get("n_global_registrations", 0)
         self._culling.undecided = list(state.get("undecided", ()))
 
-    def _let_go(self, anchors: dict[int, int]) -> None:
+    def _remove_culled(self, anchors: dict[int, int]) -> None:
         if not anchors or not self.graph.can_cull:
             return
         self.graph.cull(anchors, self._config.map.max_edges)

@@ -6,37 +6,27 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from slam_bof.bof import compile_bof
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
-from slam_bof.geometry import (
-    CloudCamera,
-    compile_alignment,
-    quantize_depth,
-    restore_frame,
-    se3,
-)
+from slam_bof.geometry import compile_alignment, se3
 from slam_bof.slam.background import BackgroundMapping
 from slam_bof.slam.config import Config, preset, resolve
-from slam_bof.slam.frame_checks import FrameChecks, checked_pose, rotation_first
 from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.slam.map_updates import Journal, MapUpdates
 from slam_bof.slam.mapping import DirectMapping, KeyframeJob, Mapping, MapUpdate
+from slam_bof.slam.session_frames import SessionFrames, TrackedFrame
 from slam_bof.slam.whole_calls import WholeCalls
-from slam_bof.tracking import KeyframeSelector, Track, Tracker
 from slam_bof.types import (
-    LOST,
     Array,
     DepthFrame,
     FramePose,
     KeyframeRecord,
     Pose,
-    SensorParams,
     Step,
     Trajectory,
 )
@@ -68,25 +58,19 @@ class LoopCloser:
         compile_alignment()
         if not background:
             compile_bof()
-        self.history = FrameHistory()
+        self.config = config
+        """The configuration, for reading only."""
         self.journal = journal
         """Called with the record of each new keyframe, if not None."""
-        self._tracker = Tracker(config.tracking, seed=config.seed)
-        self._selector = KeyframeSelector(config.keyframes)
+        self.n_postponed = 0
+        """Number of frames that came while too many keyframes waited for one more."""
         self._clock = clock or StageClock()
-        self._config = config
+        self._frames = SessionFrames(config)
         mapping = BackgroundMapping if background else DirectMapping
         self._mapping: Mapping = mapping(config, self._clock)
         self._map = self._mapping.map
-        self._checks = FrameChecks()
         self._updates = MapUpdates()
         self._calls = WholeCalls()
-        self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
-        self._session = 0
-        self._segment: int | None = None  # of this session's newest keyframe
-        self._last: tuple[Track, Pose] | None = None
-        self.n_postponed = 0
-        """Number of frames that came while too many keyframes waited for one more."""
 
     @classmethod
     def from_preset(
@@ -169,76 +153,21 @@ class LoopCloser:
             This frame has not been processed, and may be given again.
         """
         with self._call() as before:
-            frame_index = len(self.history)
-            step_covariance = (
-                None if covariance is None else rotation_first(covariance, frame_index)
-            )
-            T_odom_camera = checked_pose(T_odom_camera, frame_index, frame.stamp_s)
-            if T_view_camera is not None:
-                name = "T_view_camera"
-                T_view_camera = checked_pose(T_view_camera, frame_index, frame.stamp_s, name=name)
-            frame = self._checks.check(frame, self.history.last_stamp_s)
-            frame = quantize_depth(frame.corrected(self.sensor))
+            checked = self._frames.check(frame, T_odom_camera, covariance, T_view_camera)
             with self._clock.stage("track"):
-                track = self._tracker.track(frame, T_odom_camera, step_covariance)
-            segment = LOST if track.is_lost else track.segment
-            self.history.frames.append(
-                FramePose(frame.stamp_s, T_odom_camera, track.T_odom_camera, segment, T_view_camera)
-            )
-            if self._begins_segment(track):
-                self._selector.reset()
-                # The frame before has confirmed relocalisation: it belongs to the new segment.
-                self.history.assign_previous(track.segment)
-            is_keyframe = self._is_keyframe(frame_index, track)
+                track = self._frames.tracker.track(
+                    checked.frame, checked.T_odom_camera, checked.step_covariance
+                )
+            tracked = self._frames.add(checked, track)
+            is_keyframe = self._has_room() and self._frames.choose_keyframe(tracked)
             if is_keyframe:
                 before.save(self._mapping)
-                self._tracker.keep()
-                self.history.frames[-1] = replace(
-                    self.history.frames[-1], step_covariance=track.step_covariance
-                )
-                self._segment = track.segment
-                is_saved = self.journal is not None
-                state = self._state() if is_saved else {}
-                update = self._mapping.submit(
-                    KeyframeJob(frame_index, frame, T_odom_camera, track, state, is_saved)
-                )
+                self._frames.keep(tracked)
+                state = None if self.journal is None else self._frames.state()
+                update = self._mapping.submit(KeyframeJob(tracked, state))
                 if update is not None:
                     self._apply(update)
-            self._last = track, T_odom_camera
-            return replace(self._step(track, T_odom_camera), is_keyframe=is_keyframe)
-
-    def _is_keyframe(self, frame_index: int, track: Track) -> bool:
-        """Return whether a frame becomes a keyframe; count it if there is no room for one."""
-        if self._mapping.is_full:
-            self.n_postponed += 1
-            return False
-        return not track.is_lost and self._selector.select(
-            frame_index, track.T_odom_camera, inlier_ratio=track.inlier_ratio
-        )
-
-    def _step(self, track: Track, T_odom_camera: Pose) -> Step:
-        """Return the result of a frame, and of the keyframes that are in the map since the last."""
-        updates, newest = self._updates.take(), self._updates.newest
-        T_map_camera = self._updates.T_map_track @ track.T_odom_camera
-        return Step(
-            updates[-1].keyframe if updates else None,
-            newest.scene if newest else None,
-            tuple(loop for update in updates for loop in update.verified.admitted),
-            tuple(candidate for update in updates for candidate in update.verified.candidates),
-            T_map_camera @ se3.inverse(T_odom_camera),
-            is_lost=track.is_lost,
-            open_axes=track.open_axes,
-            T_map_camera=T_map_camera,
-            covariance=self._covariance(track),
-        )
-
-    def _covariance(self, track: Track) -> Array | None:
-        """Return the covariance of a frame in the map; None before there is a map."""
-        known = self._updates.uncertainty
-        if known is None:
-            return None
-        is_tracked = not track.is_lost and track.segment == known.keyframe.segment
-        return known.of_frame(track.T_odom_camera, track.open_axes if is_tracked else np.eye(6))
+            return replace(self._step(tracked), is_keyframe=is_keyframe)
 
     @one_blas_thread()
     def process_points(self, stamp_s: float, points_camera: Array, T_odom_camera: Pose) -> Step:
@@ -267,14 +196,8 @@ class LoopCloser:
             If the points are not (N, 3).
         """
         with self._call():
-            T_odom_camera = checked_pose(T_odom_camera, len(self.history), stamp_s)
-            has_camera = self._checks.camera is not None
-            frame, T_camera_view = self._cloud_camera.observe(stamp_s, points_camera, T_odom_camera)
-            T_odom_view, T_view_camera = T_odom_camera @ T_camera_view, se3.inverse(T_camera_view)
-            step = self.process(frame, T_odom_view, T_view_camera=T_view_camera)
-            if not has_camera and not frame.depth.any():
-                self._checks.camera = None  # of an empty cloud; the next counts as the first
-            return step
+            view = self._frames.project(stamp_s, points_camera, T_odom_camera)
+            return self.process(view.frame, view.T_odom_view, T_view_camera=view.T_view_camera)
 
     def finish(self) -> Trajectory:
         """Optimise the whole graph; return ``T_map_camera`` of every frame of this session.
@@ -313,25 +236,17 @@ class LoopCloser:
             for record in records:
                 while self._map.session < record.keyframe.session:
                     self._begin_session()
-                self._checks.camera = record.depth.intrinsics
-                self.history.frames.extend(record.frames)
+                self._frames.replay(record)
                 self._map.replay(record)
                 self._updates.newest = record.keyframe
-            if record is not None:
-                self._updates.T_map_track = self._map.T_map_track
-                self._updates.uncertainty = self._map.uncertainty()
-                self._segment = record.keyframe.segment
-            if record is None or not record.state:
-                return  # a pruned map cannot be resumed, only continued by another session
-            frame = restore_frame(record.depth, record.keyframe.stamp_s)
-            frame, last = frame.with_sensor(self._config.sensor), record.frames[-1]
-            track = Track(last.T_odom_camera, False, last.segment, float("nan"))
-            self._tracker.restore(record.state["tracker"], frame, track)
-            self._tracker.trusts_odometry = self._map.trusts_odometry
-            self._selector.restore(record.keyframe.frame_index, last.T_odom_camera)
-            self._map.restore(record.state["detector"])
-            if record.state["is_around"] is not None:
-                self._cloud_camera.restore(record.depth.intrinsics, record.state["is_around"])
+            if record is None:
+                return
+            self._updates.T_map_track = self._map.T_map_track
+            self._updates.uncertainty = self._map.uncertainty()
+            if record.state:  # a pruned map has none: another session continues it
+                self._frames.restore(record)
+                self._frames.tracker.trusts_odometry = self._map.trusts_odometry
+                self._map.restore(record.state["detector"])
 
     def begin_session(self) -> None:
         """Begin a session: the next frames have another odometry frame, in the same place.
@@ -343,24 +258,14 @@ class LoopCloser:
             before.save(self._mapping)
             self._begin_session()
 
-    def _begin_session(self) -> None:
-        """Begin a session, within a call."""
-        self._map.begin_session()
-        self._session += 1
-        self.history = FrameHistory()
-        self._segment = self._last = None
-        newest = self._updates.newest
-        segment = newest.segment + 1 if newest else 0
-        self._tracker = Tracker(self._config.tracking, seed=self._config.seed, segment=segment)
-        self._selector.reset()
-
     def poll(self) -> Step | None:
         """Return the step of the newest frame as it is now; None before the first frame.
 
         Between frames, or after the last, it brings what came of keyframes in the background.
         """
         with self._call():
-            return None if self._last is None else self._step(*self._last)
+            newest = self._frames.newest
+            return None if newest is None else self._step(newest)
 
     def drain(self) -> None:
         """Wait until all keyframes so far are in the map; the next step returns what came of them.
@@ -390,19 +295,19 @@ class LoopCloser:
         return self._map
 
     @property
+    def history(self) -> FrameHistory:
+        """The poses of all frames of this session, for reading only."""
+        return self._frames.history
+
+    @property
     def n_waiting(self) -> int:
         """Number of keyframes that are not in the map yet; 0 unless in the background."""
         return self._mapping.n_waiting
 
     @property
-    def sensor(self) -> SensorParams:
-        """The parameters of the depth sensor."""
-        return self._config.sensor
-
-    @property
     def n_odometry_lost(self) -> int:
         """Number of times that odometry was lost in this session."""
-        return self._tracker.n_lost
+        return self._frames.tracker.n_lost
 
     @property
     def n_frames_lost(self) -> int:
@@ -412,11 +317,36 @@ class LoopCloser:
     @property
     def frames_since_keyframe(self) -> list[FramePose]:
         """The frames of this session after its newest keyframe."""
-        return self.history.frames[self._updates.first_frame_after(self._session) :]
+        return self.history.frames[self._updates.first_frame_after(self._frames.session) :]
 
-    def _begins_segment(self, track: Track) -> bool:
-        """Return whether tracking has resumed after a loss, in a new segment."""
-        return not track.is_lost and self._segment not in (None, track.segment)
+    def _has_room(self) -> bool:
+        """Return whether another keyframe may wait for the map; count the frame if not."""
+        is_full = self._mapping.is_full
+        self.n_postponed += is_full
+        return not is_full
+
+    def _step(self, tracked: TrackedFrame) -> Step:
+        """Return the result of a frame, and of the keyframes that are in the map since the last."""
+        updates, newest = self._updates.take(), self._updates.newest
+        track = tracked.track
+        T_map_camera = self._updates.T_map_track @ track.T_odom_camera
+        return Step(
+            keyframe=updates[-1].keyframe if updates else None,
+            scene=newest.scene if newest else None,
+            loops=tuple(loop for update in updates for loop in update.verified.admitted),
+            candidates=tuple(c for update in updates for c in update.verified.candidates),
+            T_map_odom=T_map_camera @ se3.inverse(tracked.T_odom_raw),
+            is_lost=track.is_lost,
+            open_axes=track.open_axes,
+            T_map_camera=T_map_camera,
+            covariance=self._updates.covariance(track),
+        )
+
+    def _begin_session(self) -> None:
+        """Begin a session, within a call."""
+        newest = self._updates.newest
+        self._map.begin_session()
+        self._frames.begin_session(newest.segment + 1 if newest else 0)
 
     @contextmanager
     def _call(self, *, wait: bool = False) -> Iterator[Checkpoint]:
@@ -441,11 +371,8 @@ class LoopCloser:
     def _checkpoint(self) -> Checkpoint:
         """Return the present state, but for that of mapping."""
         before = Checkpoint()
-        before.save_attributes(
-            self, "history", "n_postponed", "_tracker", "_session", "_segment", "_last"
-        )
-        before.save_attributes(self._checks, "camera")
-        before.save(self.history, self._tracker, self._selector, self._cloud_camera, self._updates)
+        before.save_attributes(self, "n_postponed")
+        before.save(self._frames, self._updates)
         return before
 
     def _receive(self) -> None:
@@ -462,19 +389,11 @@ class LoopCloser:
     def _apply(self, update: MapUpdate) -> None:
         """Go on from a keyframe that is in the map."""
         self._updates.add(update, self.history.frames)
-        if update.keyframe.session == self._session:
-            self._tracker.trusts_odometry = update.trusts_odometry
+        if update.keyframe.session == self._frames.session:
+            self._frames.tracker.trusts_odometry = update.trusts_odometry
 
     def _save(self) -> None:
         """Pass the records of new keyframes to the journal."""
         with self._clock.stage("save"):
             if self.journal is not None:
                 self._updates.save(self.journal)
-
-    def _state(self) -> dict[str, Any]:
-        """Return the state that keyframes do not contain, as JSON values; the map adds its own."""
-        return {
-            "tracker": self._tracker.state(),
-            "detector": None,
-            "is_around": self._cloud_camera.is_around,
-        }

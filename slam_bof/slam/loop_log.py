@@ -52,8 +52,8 @@ class EdgeColumns(NamedTuple):
 class LoopLog:
     """Stores edges in the order in which they entered the graph, and finds those of a keyframe.
 
-    The information of edges of culled keyframes is dropped: the graph no longer has them. It is
-    zero when they are read. ``map.db`` has all of it.
+    Edges of culled keyframes have left the graph, so their information is dropped and reads as
+    zero. ``map.db`` has all of it.
     """
 
     def __init__(self) -> None:
@@ -113,7 +113,7 @@ class LoopLog:
         return self._edges
 
     def cull(self, keyframe_ids: Collection[int]) -> None:
-        """Drop what the edges of culled keyframes no longer need."""
+        """Drop the information of the edges of culled keyframes."""
         gone = {k for keyframe_id in keyframe_ids for k in self._of_keyframe.pop(keyframe_id, ())}
         rows, touched, self._edges = self._rows.rows, set(), None
         for number in gone:

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from slam_bof.scenes import MapRoom, label_map
+from slam_bof.scenes import UNKNOWN_LABEL, MapRoom, label_map
 from slam_bof.slam.config import Config
 from slam_bof.types import Array, EdgeKind, Keyframe, Loop
 
 __all__ = ["MapOutline", "outline_of"]
-
-UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +68,7 @@ def outline_of(
         np.array([keyframe.stamp_s for keyframe in keyframes]),
         T_map_camera,
         components,
-        [scene.label if scene else UNKNOWN for scene in scenes],
+        [scene.label if scene else UNKNOWN_LABEL for scene in scenes],
         np.array(edges, np.int64).reshape(-1, 2),
         np.array([loop.kind == EdgeKind.LOOP for loop in loops], bool),
         rooms,

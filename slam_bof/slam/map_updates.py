@@ -8,7 +8,8 @@ import numpy as np
 
 from slam_bof.slam.map_uncertainty import PoseUncertainty
 from slam_bof.slam.mapping import MapUpdate
-from slam_bof.types import FramePose, Keyframe, KeyframeRecord, Pose
+from slam_bof.tracking import Track
+from slam_bof.types import Array, FramePose, Keyframe, KeyframeRecord, Pose
 
 __all__ = ["Journal", "MapUpdates"]
 
@@ -63,6 +64,14 @@ class MapUpdates:
         self.newest, self.T_map_track = keyframe, update.T_map_track
         self.uncertainty = update.uncertainty
         self._new.append(update)
+
+    def covariance(self, track: Track) -> Array | None:
+        """Return the covariance (6, 6) of a frame in the map; None before there is a map."""
+        known = self.uncertainty
+        if known is None:
+            return None
+        is_tracked = not track.is_lost and track.segment == known.keyframe.segment
+        return known.of_frame(track.T_odom_camera, track.open_axes if is_tracked else np.eye(6))
 
     def take(self) -> list[MapUpdate]:
         """Return the updates since the last call, oldest first."""

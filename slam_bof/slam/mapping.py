@@ -13,26 +13,21 @@ from slam_bof.loops import Verified
 from slam_bof.slam.config import Config
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.slam.map_uncertainty import PoseUncertainty
-from slam_bof.tracking import Track
-from slam_bof.types import DepthFrame, Keyframe, Pose, SavedConstellation, SubsampledDepth
+from slam_bof.slam.session_frames import TrackedFrame
+from slam_bof.types import Keyframe, Pose, SavedConstellation, SubsampledDepth
 
 __all__ = ["DirectMapping", "KeyframeJob", "MapUpdate", "Mapping", "map_keyframe"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyframeJob:
-    """A frame that becomes a keyframe, with its poses from odometry and tracking.
+    """A frame that becomes a keyframe.
 
-    ``state`` is the state of tracking, as JSON values. ``is_saved`` is whether the keyframe has a
-    journal, which needs its depth and the state of the map.
+    ``state`` is the state of tracking as JSON values for the journal, None without one.
     """
 
-    frame_index: int
-    frame: DepthFrame
-    T_odom_raw: Pose
-    track: Track
-    state: dict[str, Any]
-    is_saved: bool
+    tracked: TrackedFrame
+    state: dict[str, Any] | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,26 +53,28 @@ class MapUpdate:
 
 def map_keyframe(map_: KeyframeMap, job: KeyframeJob) -> MapUpdate:
     """Describe and label a keyframe, find and verify its loops, and optimise the pose graph."""
+    tracked, track = job.tracked, job.tracked.track
     keyframe = map_.describe(
-        job.frame_index,
-        job.frame,
-        job.track.T_odom_camera,
-        segment=job.track.segment,
-        step_covariance=job.track.step_covariance,
-        T_odom_raw=job.T_odom_raw,
+        tracked.index,
+        tracked.frame,
+        track.T_odom_camera,
+        segment=track.segment,
+        step_covariance=track.step_covariance,
+        T_odom_raw=tracked.T_odom_raw,
     )
-    verified = map_.add(keyframe, job.frame)
+    verified = map_.add(keyframe, tracked.frame)
     culled = map_.cull()
+    is_saved = job.state is not None
     return MapUpdate(
-        keyframe,
-        verified,
-        culled,
-        map_.T_map_track,
-        map_.trusts_odometry,
-        map_.uncertainty(),
-        subsample(job.frame) if job.is_saved else None,
-        map_.newest_constellation if job.is_saved else None,
-        {**job.state, "detector": map_.state()} if job.is_saved else {},
+        keyframe=keyframe,
+        verified=verified,
+        culled=culled,
+        T_map_track=map_.T_map_track,
+        trusts_odometry=map_.trusts_odometry,
+        uncertainty=map_.uncertainty(),
+        depth=subsample(tracked.frame) if is_saved else None,
+        constellation=map_.newest_constellation if is_saved else None,
+        state={} if job.state is None else {**job.state, "detector": map_.state()},
     )
 
 

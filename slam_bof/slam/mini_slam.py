@@ -161,7 +161,7 @@ class MiniSlam:
             except DatasetError as error:
                 self._observer.on_warning(f"frame {first_frame(dataset) + index} skipped: {error}")
             else:
-                yield index, frame.corrected(self._closer.sensor)
+                yield index, frame.corrected(self._closer.config.sensor)
 
     def _result(
         self, poses: list[Pose], *, n_frames: int, n_resumed: int, n_repeated: int

@@ -91,7 +91,7 @@ def require_intact(path: Path | str) -> None:
 def _unreadable(store: MapStore) -> Iterator[Damage]:
     """Yield what readers refuse of whole rows: numbers that do not count from 0, and the like."""
     try:
-        store.keyframes(), store.candidates(), store.regions()
+        store.keyframes(), store.candidates(), store.rooms()
         for session in store.sessions():
             store.frames(session.id)
     except MapError as error:

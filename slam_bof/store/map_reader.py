@@ -23,7 +23,7 @@ from slam_bof.store.row_codec import (
     decode_loop,
     decode_odometry,
     decode_pose,
-    decode_region,
+    decode_room,
     decode_scene,
     decode_view,
 )
@@ -164,14 +164,14 @@ class MapReader(MapDatabase):
             anchors[row["keyframe_id"]] = row["anchor_id"]
         return anchors
 
-    def regions(self) -> list[MapRoom]:
+    def rooms(self) -> list[MapRoom]:
         """Return the rooms of the map; none until a session is finished."""
         ids_by_room: dict[int, list[int]] = {}
         with self.snapshot():
             for row in self.rows("keyframes", "WHERE region IS NOT NULL ORDER BY id"):
                 ids_by_room.setdefault(row["region"], []).append(row["id"])
             rows = self.rows("regions", "ORDER BY id")
-        return [decode_region(row, ids_by_room.get(row["id"], ())) for row in rows]
+        return [decode_room(row, ids_by_room.get(row["id"], ())) for row in rows]
 
     def view(self, keyframe_id: int) -> DepthFrame | None:
         """Return a keyframe's subsampled depth image; None in maps made before version 4."""

@@ -30,7 +30,7 @@ from slam_bof.store.row_codec import (
     encode_keyframe,
     encode_odometry,
     encode_pose,
-    encode_region,
+    encode_room,
     encode_scene,
     encode_view,
 )
@@ -55,14 +55,14 @@ class SessionResult:
 
     ``frames`` are those after the newest keyframe. ``T_map_camera`` (K, 4, 4) are the optimised
     poses of all keyframes in the order of their ids, ``smoothed`` (K,) their smoothed labels, and
-    ``regions`` the rooms. ``left_out`` are the loops that the final optimisation left out, and
+    ``rooms`` the rooms. ``left_out`` are the loops that the final optimisation left out, and
     ``reason`` says why, for the audit trail.
     """
 
     frames: Sequence[FramePose]
     T_map_camera: Array
     smoothed: Sequence[Scene | None]
-    regions: Sequence[MapRoom]
+    rooms: Sequence[MapRoom]
     left_out: Iterable[Loop] = ()
     reason: str = ""
 
@@ -145,10 +145,10 @@ class MapStore(MapReader):
             session_id,
             session_id,
         )
-        region_by_id = {id_: region.id for region in result.regions for id_ in region.keyframe_ids}
+        room_by_id = {id_: room.id for room in result.rooms for id_ in room.keyframe_ids}
         names = [*(f"map_{name}" for name in POSE_COLUMNS), *SMOOTHED_COLUMNS]
         rows = [
-            (*encode_pose(T), *encode_scene(scene), region_by_id.get(id_), id_)
+            (*encode_pose(T), *encode_scene(scene), room_by_id.get(id_), id_)
             for T, scene, id_ in zip(result.T_map_camera, result.smoothed, ids, strict=True)
         ]
         with self.transaction() as db:
@@ -158,7 +158,7 @@ class MapStore(MapReader):
             )
             update_checksums(db, "keyframes")
             db.execute("DELETE FROM regions")
-            db.executemany(INSERT_REGION, map(encode_region, result.regions))
+            db.executemany(INSERT_REGION, map(encode_room, result.rooms))
             update_checksums(db, "regions")
             db.execute(
                 "UPDATE candidates SET decision = 'accepted', reason = '', left_out_by = NULL"

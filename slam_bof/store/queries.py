@@ -174,13 +174,13 @@ def query_rooms(
     """
     with store.snapshot():
         _check_scene(store, scene)
-        rooms = store.regions()
+        rooms = store.rooms()
     found = [
-        region
-        for region in rooms
-        if scene in (None, region.label) and region.probability >= min_probability
+        room
+        for room in rooms
+        if scene in (None, room.label) and room.probability >= min_probability
     ]
-    return sorted(found, key=lambda region: -region.probability) if scene else found
+    return sorted(found, key=lambda room: -room.probability) if scene else found
 
 
 def query_loops(

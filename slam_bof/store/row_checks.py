@@ -30,6 +30,7 @@ DIRECTION, POSE, MATRIX = struct.Struct("<3d"), struct.Struct("<12d"), struct.St
 POSE_BYTES, MATRIX_BYTES = POSE.size, MATRIX.size
 """Sizes of a pose (3, 4), and of an information or covariance matrix (6, 6)."""
 MAX_SESSIONS = 100_000
+"""Largest number of sessions: a map that is restored begins one after another of them."""
 MAX_NUMBER = 1e18
 """Largest number in a row; times may be in any unit."""
 UNBOUNDED = ("rmse_m", "score", "normaliser", "eta")

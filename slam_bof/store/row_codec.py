@@ -50,7 +50,7 @@ __all__ = [
     "decode_loop",
     "decode_odometry",
     "decode_pose",
-    "decode_region",
+    "decode_room",
     "decode_scene",
     "decode_smoothed_scene",
     "decode_view",
@@ -61,7 +61,7 @@ __all__ = [
     "encode_keyframe",
     "encode_odometry",
     "encode_pose",
-    "encode_region",
+    "encode_room",
     "encode_scene",
     "encode_view",
 ]
@@ -150,13 +150,13 @@ def encode_scene(scene: Scene | None) -> Row:
     return scene.label, float(scene.probability), _to_blob(scene.probabilities, "<f8")
 
 
-def encode_region(region: MapRoom) -> Row:
+def encode_room(room: MapRoom) -> Row:
     """Return the values of ``INSERT_REGION``."""
-    box = (*region.center_m, *region.low_m, *region.high_m)
-    return (region.id, region.label, region.probability, len(region.keyframe_ids), *box)
+    box = (*room.center_m, *room.low_m, *room.high_m)
+    return (room.id, room.label, room.probability, len(room.keyframe_ids), *box)
 
 
-def decode_region(row: Any, keyframe_ids: Sequence[int]) -> MapRoom:
+def decode_room(row: Any, keyframe_ids: Sequence[int]) -> MapRoom:
     """Return the room in a row of ``regions``."""
     values = [row[name] for name in BOX_COLUMNS]
     center_m, low_m, high_m = ((values[k], values[k + 1], values[k + 2]) for k in (0, 3, 6))

@@ -50,8 +50,8 @@ class KeyframeRecord:
     ``frames`` are the frames after the keyframe before, up to and including this one.
     ``measured`` are the loops of this keyframe that geometry verified. ``admitted`` are the loops
     that entered the graph with it, in that order: some of ``measured`` may be missing, and held
-    loops of earlier keyframes may be among them. ``culled`` are the ids of keyframes that the map
-    let go of with it, each with the id of its anchor, which its pose is fixed to. ``state`` is the
+    loops of earlier keyframes may be among them. ``culled`` are the ids of the keyframes that were
+    culled with it, each with the id of its anchor, to which its pose is fixed. ``state`` is the
     remaining state of the plug-in as JSON values. ``constellation`` is None if the keyframe was not
     described by one.
     """

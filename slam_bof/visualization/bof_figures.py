@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -98,49 +101,78 @@ def draw_constellations(
     str
         The picture as SVG.
     """
-    left = [MARGIN_PX + k * (PANEL_PX + MARGIN_PX) for k in range(3)]
-    top = MARGIN_PX + 2 * TITLE_PX
     views = [_outlines(query), _outlines(match)]
     pairs = np.empty((0, 2), np.intp) if hypothesis is None else hypothesis.inliers
-    text = "No contours correspond"
+    headings = [f"{name}: {len(view)} contours" for name, view in zip(names, views, strict=True)]
+    headings.append("No contours correspond")
     if hypothesis is not None:
         T = hypothesis.T_match_query
         moved_m, turned_deg = np.linalg.norm(T[:3, 3]), np.degrees(se3.rotation_angle(T))
-        text = f"{len(pairs)} pairs agree: {moved_m:.2f} m, {turned_deg:.0f} degrees apart"
+        headings[-1] = f"{len(pairs)} pairs agree: {moved_m:.2f} m, {turned_deg:.0f} degrees apart"
         views.append(_move(views[0], query, match, T))
-    corners = np.concatenate([[0j], *(view.reshape(-1) for view in views)])
-    low = np.array([corners.real.min(), corners.imag.min() - 0.3])
-    scale = PANEL_PX / max(np.ptp(corners.real), np.ptp(corners.imag) + 0.3)
-
-    def place(points: NDArray[np.complex128], panel: int) -> Array:
-        x, z = (points.real - low[0]) * scale, (points.imag - low[1]) * scale
-        return np.stack([left[panel] + x, top + PANEL_PX - z], axis=-1)
-
-    headings = [f"{name}: {len(view)} contours" for name, view in zip(names, views, strict=False)]
+    plan = _Plan.of(views)
     parts = [words(MARGIN_PX, MARGIN_PX + 14, title, size=15)]
-    for panel, heading in enumerate([*headings, text]):
-        parts.append(words(left[panel], top - 10, heading))
-        parts.append(_camera(place(np.zeros(1, complex), panel)[0]))
-    slices = match.bofs.slices[pairs[:, 1]].astype(float)
-    shares = (slices - slices.min(initial=99)) / max(np.ptp(slices) if len(slices) else 0, 1)
-    for panel, view in enumerate(views[:2]):
-        colors = {k: _color(share) for k, share in zip(pairs[:, panel], shares, strict=True)}
-        for k in sorted(range(len(view)), key=colors.__contains__):
-            width, color = (1.4, colors[k]) if k in colors else (0.6, COLORS["muted"])
-            parts.append(shape(place(view[k], panel), color, width=width))
-    for (a, b), share in zip(pairs, shares, strict=True):
-        ends = query.bofs.centroids_m[a], match.bofs.centroids_m[b]
-        both = np.stack([place(np.array(end), panel) for panel, end in enumerate(ends)])
-        parts.append(line(both, _color(share), width=0.6, opacity=0.5))
+    for panel, heading in enumerate(headings):
+        parts.append(words(plan.left(panel), plan.top - 10, heading))
+        parts.append(_camera(plan.place(np.zeros(1, complex), panel)[0]))
+    parts += _draw_pairs(query, match, views[:2], pairs, plan)
     for column, color, view, name in (
         (1, MATCH, views[1], names[1]),
         (0, QUERY, views[-1], names[0]),
     ):
         chosen = np.unique(pairs[:, column])
-        parts += [shape(place(view[k], 2), color) for k in chosen]
+        parts += [shape(plan.place(view[k], 2), color) for k in chosen]
         if len(chosen):
-            parts.append(words(left[2] + 150 * (1 - column), top + PANEL_PX, name, color=color))
-    return document(left[2] + PANEL_PX + MARGIN_PX, top + PANEL_PX + MARGIN_PX, parts)
+            x = plan.left(2) + 150 * (1 - column)
+            parts.append(words(x, plan.top + PANEL_PX, name, color=color))
+    return document(plan.left(3), plan.top + PANEL_PX + MARGIN_PX, parts)
+
+
+class _Plan(NamedTuple):
+    """Panels side by side that show points ``x + i z`` in plan, all at one scale."""
+
+    low: Array
+    scale: float
+    top: float = MARGIN_PX + 2 * TITLE_PX
+
+    @classmethod
+    def of(cls, views: Sequence[NDArray[np.complex128]]) -> _Plan:
+        """Choose the scale at which all outlines and the camera fit into a panel."""
+        corners = np.concatenate([[0j], *(view.reshape(-1) for view in views)])
+        low = np.array([corners.real.min(), corners.imag.min() - 0.3])
+        return cls(low, PANEL_PX / max(np.ptp(corners.real), np.ptp(corners.imag) + 0.3))
+
+    def left(self, panel: int) -> float:
+        """Return the left edge of a panel."""
+        return MARGIN_PX + panel * (PANEL_PX + MARGIN_PX)
+
+    def place(self, points: NDArray[np.complex128], panel: int) -> Array:
+        """Return where points (...,) are in the picture, (..., 2)."""
+        x, z = (points.real - self.low[0]) * self.scale, (points.imag - self.low[1]) * self.scale
+        return np.stack([self.left(panel) + x, self.top + PANEL_PX - z], axis=-1)
+
+
+def _draw_pairs(
+    query: Constellation,
+    match: Constellation,
+    views: Sequence[NDArray[np.complex128]],
+    pairs: NDArray[np.intp],
+    plan: _Plan,
+) -> list[str]:
+    """Draw the contours of both views, and lines between those that correspond, by height."""
+    parts = []
+    slices = match.bofs.slices[pairs[:, 1]].astype(float)
+    shares = (slices - slices.min(initial=99)) / max(np.ptp(slices) if len(slices) else 0, 1)
+    for panel, view in enumerate(views):
+        colors = {k: _color(share) for k, share in zip(pairs[:, panel], shares, strict=True)}
+        for k in sorted(range(len(view)), key=colors.__contains__):
+            width, color = (1.4, colors[k]) if k in colors else (0.6, COLORS["muted"])
+            parts.append(shape(plan.place(view[k], panel), color, width=width))
+    for (a, b), share in zip(pairs, shares, strict=True):
+        ends = query.bofs.centroids_m[a], match.bofs.centroids_m[b]
+        both = np.stack([plan.place(np.array(end), panel) for panel, end in enumerate(ends)])
+        parts.append(line(both, _color(share), width=0.6, opacity=0.5))
+    return parts
 
 
 def _cloud(

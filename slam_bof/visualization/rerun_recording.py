@@ -100,7 +100,7 @@ class RerunRecording:
         self._stream.send_blueprint(layout.Blueprint(whole, collapse_panels=True))
 
     def set_time(self, timeline: str, number: int) -> None:
-        """Set the place on a timeline of what is logged from now on."""
+        """Set the point on a timeline at which later entries are logged."""
         self._stream.set_time(timeline, sequence=number)
 
     def log(self, path: str, content: Any, *, static: bool = False) -> None:

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from slam_bof.geometry import RegistrationQualityParams, assess_registration, reject
+from slam_bof.geometry import RegistrationQualityParams, SurfacePairs, assess_registration, reject
 
 CORNER = np.repeat(np.eye(3), 4, axis=0)
 """Normals of three walls, each with four points about its middle."""
@@ -21,9 +21,7 @@ def verify(*, overlap=0.7, guessed=True, residual_m=0.01, normals=CORNER, reason
     return assess_registration(
         RegistrationQualityParams(),
         POSE,
-        points,
-        normals,
-        residuals_m,
+        SurfacePairs(points, normals, normals, residuals_m),
         overlap=overlap,
         guessed=guessed,
         reason_against=reason_against,

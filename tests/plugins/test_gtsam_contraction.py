@@ -107,7 +107,7 @@ def test_an_edge_that_the_map_contradicts_hardly_counts_beside_another(twice_rou
     contracted(backend)
     weights = backend.optimize()
     assert len(weights) == N + 3
-    edges = {edge[:2]: edge.measured.matrix() for edge, _ in backend._settled}
+    edges = {edge[:2]: edge.measured.matrix() for edge, _ in backend._inherited}
     true = se3.inverse(truth[9]) @ truth[4]
     assert np.linalg.norm((edges[9, 4] - true)[:3, 3]) < 0.02
 
@@ -122,12 +122,12 @@ def test_covariances_of_composed_poses_add_up():
     found = contraction({1: Attachment(7, here, np.diag([1 / 16.0] * 3 + [1 / 0.16] * 3))})
     found.compose(Edge(1, 2, here), noise)
     found.compose(Edge(3, 1, here), noise)
-    for edge, composed in found.settled:
+    for edge, composed in found.inherited:
         assert 7 in edge[:2]
         np.testing.assert_allclose(composed.covariance(), np.diag([25.0] * 3 + [0.25] * 3))
     wall = gtsam.noiseModel.Gaussian.Information(np.diag([1.0, 1.0, 0.0, 0.0, 0.0, 1.0]))
     found.compose(Edge(1, 4, here), wall)
-    information = found.settled[-1][1].information()
+    information = found.inherited[-1][1].information()
     np.testing.assert_allclose(np.diag(information)[2:5], 0.0, atol=1e-12)
     assert np.diag(information)[0] == pytest.approx(1 / 17.0)
 
@@ -138,10 +138,10 @@ def test_edges_between_the_same_nodes_are_averaged_by_information():
     found = contraction({1: Attachment(7, gtsam.Pose3(), 1e12 * np.eye(6))})
     found.compose(Edge(1, 2, there[0]), certain)
     found.compose(Edge(2, 1, there[1].inverse()), vague)
-    ((edge, noise),) = found.settled
+    ((edge, noise),) = found.inherited
     assert edge[:2] == (7, 2)
     np.testing.assert_allclose(edge.measured.matrix()[:3, 3], [1.06, 0.0, 0.0], atol=1e-6)
     assert noise.information()[3, 3] == pytest.approx(125.0, rel=1e-3)
-    limited = Contraction({}, found.settled, max_edges=10, max_trace=6.0)
+    limited = Contraction({}, found.inherited, max_edges=10, max_trace=6.0)
     limited.compose(Edge(7, 2, there[0]), certain)
-    assert np.trace(limited.settled[0][1].information()) == pytest.approx(6.0)
+    assert np.trace(limited.inherited[0][1].information()) == pytest.approx(6.0)

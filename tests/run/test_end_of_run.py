@@ -14,7 +14,7 @@ from conftest import CAMERA, box_room_depth_mm
 from slam_bof.core import keep_going
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_kitti, read_tum, se3
-from slam_bof.run import RunInterrupted, outputs, resume_sequence, run_sequence
+from slam_bof.run import RunInterrupted, RunOptions, outputs, resume_sequence, run_sequence
 from slam_bof.run.folder import link_map, make_folder
 from slam_bof.scenes import LevelledClassifier
 from slam_bof.slam import preset
@@ -49,7 +49,7 @@ class BoxRoom:
 
 def run(out: Path, **options: bool) -> Path:
     config = override(preset("indoor"), ["keyframes.max_gap=3"])
-    return run_sequence(BoxRoom(), config, out, **options).folder
+    return run_sequence(BoxRoom(), config, out, RunOptions(**options)).folder
 
 
 def test_depth_in_another_unit_is_the_reason_for_lost_frames(monkeypatch, tmp_path):

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from slam_bof.cli.app import app
 from slam_bof.cli.inputs import open_sequence
 from slam_bof.core import cluster as cluster_module, on_cluster
-from slam_bof.run import run_sequences
+from slam_bof.run import RunOptions, run_sequences
 from slam_bof.slam import preset
 
 FILES = ("trajectory_optimized_tum.txt", "trajectory_odometry_tum.txt", "pose_graph.g2o")
@@ -35,7 +35,7 @@ def test_files_do_not_depend_on_the_number_of_workers(sequences, tmp_path):
     config = preset("indoor")
     open_ = partial(open_sequence, choice=config.dataset, frames=None, quiet=True)
     found = [
-        list(run_sequences(sequences, open_, config, tmp_path / str(n), n_jobs=n, max_frames=10))
+        list(run_sequences(sequences, open_, config, tmp_path / str(n), RunOptions(10), n_jobs=n))
         for n in (1, 2)
     ]
     for one, other in zip(*found, strict=True):
@@ -91,13 +91,13 @@ def test_a_cluster_makes_the_same_files_and_survives_a_killed_worker(sequences, 
     mark = tmp_path / "killed"
     dying = partial(scope["open_dying"], mark=str(mark), inner=open_)
     two = sequences[::2]
-    local = list(run_sequences(two, open_, config, tmp_path / "local", max_frames=6))
+    local = list(run_sequences(two, open_, config, tmp_path / "local", RunOptions(6)))
     options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None}
     with (
         distributed.LocalCluster(**options) as cluster,
         on_cluster(cluster.scheduler_address),
     ):
-        far = list(run_sequences(two, dying, config, tmp_path / "far", n_jobs=None, max_frames=6))
+        far = list(run_sequences(two, dying, config, tmp_path / "far", RunOptions(6), n_jobs=None))
     assert mark.exists()
     for one, other in zip(local, far, strict=True):
         assert other.result is not None, other.error

@@ -16,7 +16,7 @@ from slam_bof.errors import DatasetError, MapError, RunError
 from slam_bof.evaluation.trajectory_metrics import ate
 from slam_bof.geometry import se3
 from slam_bof.maps import MapLocalizer, merge_maps
-from slam_bof.run import read_run, run_sequence
+from slam_bof.run import RunOptions, read_run, run_sequence
 from slam_bof.scenes import model as models
 from slam_bof.slam import preset
 from slam_bof.slam.config import override
@@ -32,6 +32,7 @@ from slam_bof.synthetic import Scene3D, make_room, spin, write_sequence
 from slam_bof.types import Trajectory
 
 QUICK = override(preset("indoor"), ["loops.min_age_s=1.0", "keyframes.max_gap=5"])
+SHORT = RunOptions(max_frames=10)
 
 
 @pytest.fixture(scope="module")
@@ -242,27 +243,27 @@ def test_a_map_of_an_earlier_default_model_keeps_its_model(sequences, tmp_path, 
     with monkeypatch.context() as patch:
         # A version whose default was today's synthetic model.
         patch.setattr(models, "resolve", lambda name: earlier)
-        run_sequence(first, QUICK, tmp_path, map_file=map_file)
+        run_sequence(first, QUICK, tmp_path, SHORT, map_file=map_file)
     with MapStore.open(map_file) as store:
         assert "model: default" in store.sessions()[0].config
     assert earlier.content_hash != models.resolve("default").content_hash
     classes = set(earlier.levelled_classifier.network.classes_)
     found = MapLocalizer.open(map_file).localize(second.frame(0))
     assert set(found.scene.classes) == classes
-    run_sequence(second, QUICK, tmp_path, map_file=map_file)
+    run_sequence(second, QUICK, tmp_path, SHORT, map_file=map_file)
     with MapStore.open(map_file) as store:
         assert store.parameters()["model"] == earlier.content_hash
         assert len(store.sessions()) == 2
         assert {name for k in store.keyframes() for name in k.scene.classes} == classes
 
 
-def test_a_map_of_a_default_model_of_the_past_is_continued(sequences, tmp_path, caplog):
-    first, second = sequences
+def test_a_map_of_a_default_model_of_the_past_is_continued(sequences, apart, tmp_path, caplog):
+    _, second = sequences
     map_file = tmp_path / "old.db"
-    run_sequence(first, QUICK, tmp_path, map_file=map_file)
+    shutil.copy(apart[0], map_file)
     with MapStore.open(map_file, read_only=False) as store:
         store.set_parameters({"model": next(iter(models.SUPERSEDED))})
-    run_sequence(second, QUICK, tmp_path, map_file=map_file)
+    run_sequence(second, QUICK, tmp_path, SHORT, map_file=map_file)
     with MapStore.open(map_file) as store:
         assert len(store.sessions()) == 2
     assert "made with an earlier default model, 9e04125ebb8c; its labels are" in caplog.text

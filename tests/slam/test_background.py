@@ -107,7 +107,7 @@ def test_an_error_of_a_keyframe_is_raised_by_the_next_call(walk, background):
     closer = background()
     closer.process(*walk[0])
     closer.drain()
-    broken = KeyframeJob(1, "no frame", None, None, {}, False)
+    broken = KeyframeJob("no frame", None)
     closer._mapping._unsent.append(broken)
     with pytest.raises(AttributeError, match="track") as caught:
         closer.drain()

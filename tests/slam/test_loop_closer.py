@@ -71,26 +71,34 @@ def test_depths_beyond_the_range_of_the_sensor_are_not_used(look, standpoint):
     np.testing.assert_array_equal(depths_m[1], np.where(depths_m[0] > limit_m, 0.0, depths_m[0]))
 
 
-def three_rounds(look, standpoint, *assignments):
-    """Return how often keyframes of each round of three on the spot matched which round before."""
+@pytest.fixture
+def three_rounds(look, standpoint):
+    """Three rounds on the spot, 22 frames each, (frame, T_odom_camera)."""
     x, y = standpoint
     yaws = np.tile(np.arange(0.0, 2.2, 0.1), 3)
     c, s, o, i = np.cos(yaws), np.sin(yaws), np.zeros(66), np.ones(66)
     rows = [[s, o, c, x * i], [-c, o, s, y * i], [o, -i, o, 1.3 * i], [o, o, o, i]]
     poses = np.moveaxis(np.array(rows), -1, 0)
+    return [
+        (replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 22)), se3.inverse(poses[0]) @ T)
+        for k, T in enumerate(poses)
+    ]
+
+
+def match_rounds(three_rounds, *assignments):
+    """Return how often keyframes of each round matched which round before."""
     options = ["covisibility.max_edges=0", *assignments]
     closer = LoopCloser.from_config(override(preset("indoor"), options))
-    for k, T in enumerate(poses):
-        frame = replace(look(T, k), stamp_s=k / 10 + 4.0 * (k // 22))
-        closer.process(frame, se3.inverse(poses[0]) @ T)
+    for frame, T_odom_camera in three_rounds:
+        closer.process(frame, T_odom_camera)
     rounds = [k.frame_index // 22 for k in closer.map.keyframes]
     return Counter((rounds[loop.query_id], rounds[loop.match_id]) for loop in closer.map.loops)
 
 
-def test_who_stands_where_another_stood_is_not_searched_for(look, standpoint):
+def test_who_stands_where_another_stood_is_not_searched_for(three_rounds):
     """But for the first of a round, whose loop still waits for another to agree."""
-    found = three_rounds(look, standpoint)
-    without = three_rounds(look, standpoint, "loops.revisit_distance_m=0")
+    found = match_rounds(three_rounds)
+    without = match_rounds(three_rounds, "loops.revisit_distance_m=0")
     assert found[1, 0] == without[1, 0] > 5
     assert without[2, 1] > 5
     assert found[2, 1] < without[2, 1]
@@ -110,9 +118,9 @@ def test_a_camera_at_rest_costs_nothing(look, standpoint):
 
 def test_a_preset_is_named_where_a_configuration_is_expected(tmp_path):
     (tmp_path / "my.yaml").write_text("keyframes: {policy: every}")
-    assert LoopCloser.from_config("paper")._selector.params.policy == "every"
-    assert LoopCloser.from_config(str(tmp_path / "my.yaml"))._selector.params.policy == "every"
-    assert LoopCloser.from_config(tmp_path / "my.yaml")._selector.params.policy == "every"
+    assert LoopCloser.from_config("paper").config.keyframes.policy == "every"
+    assert LoopCloser.from_config(str(tmp_path / "my.yaml")).config.keyframes.policy == "every"
+    assert LoopCloser.from_config(tmp_path / "my.yaml").config.keyframes.policy == "every"
     with pytest.raises(ConfigError, match="no preset 'outdoor'"):
         LoopCloser.from_config("outdoor")
 

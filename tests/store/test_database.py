@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from old_maps import write_old_map
-from saved_maps import CLASSES, make_candidate, make_keyframe, make_loop, save
+from saved_maps import CLASSES, make_candidate, make_keyframe, make_loop, save, save_six
 
 from slam_bof.errors import MapError
 from slam_bof.store import MapStore, check_map, replay_keyframes
@@ -26,9 +26,7 @@ def path(tmp_path: Path) -> Path:
 def filled(path: Path) -> Iterator[MapStore]:
     """A map of 6 keyframes with a loop."""
     with MapStore.create(path) as store:
-        for id_ in range(5):
-            save(store, make_keyframe(id_))
-        save(store, make_keyframe(5), [make_candidate(5, 0)], [make_loop(5, 0)])
+        save_six(store, [make_candidate(5, 0)], [make_loop(5, 0)])
         yield store
 
 
@@ -111,7 +109,7 @@ def test_an_older_map_is_upgraded(path: Path, version: int, read_only: bool) -> 
     before = path.read_bytes()
     with MapStore.open(path, read_only=read_only) as store:
         assert [k.smoothed for k in store.keyframes()] == [None, None]
-        assert store.regions() == []
+        assert store.rooms() == []
         (loop,) = store.loops()
         assert (loop.query_id, loop.match_id, loop.source) == (1, 0, "view")
         assert [c.decision for c in store.candidates()] == ["accepted", "rejected"]

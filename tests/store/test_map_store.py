@@ -18,6 +18,7 @@ from saved_maps import (
     make_record,
     make_subsampled,
     save,
+    save_six,
 )
 
 from slam_bof.errors import MapError
@@ -44,13 +45,11 @@ def path(tmp_path: Path) -> Path:
 def filled(path: Path) -> Iterator[MapStore]:
     """A map of 6 keyframes with a loop and a covisibility edge."""
     with MapStore.create(path) as store:
-        for id_ in range(5):
-            save(store, make_keyframe(id_))
         rejected = Candidate(
             5, 3, CandidateSource.PROXIMITY, decision=Decision.REJECTED, reason="overlap 0.10"
         )
         edges = [make_loop(5, 0), make_loop(5, 4, "covisibility")]
-        save(store, make_keyframe(5), [make_candidate(5, 0), rejected], edges)
+        save_six(store, [make_candidate(5, 0), rejected], edges)
         yield store
 
 
@@ -300,7 +299,7 @@ def test_the_views_are_readable(filled: MapStore) -> None:
 def test_smoothed_labels_and_rooms(path: Path) -> None:
     kitchen = Scene("kitchen", 0.7, CLASSES, np.array([0.7, 0.3]))
     unsure = Scene("unknown", 0.5, CLASSES, np.array([0.5, 0.5]))
-    region = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
+    room = MapRoom(0, "kitchen", 0.6, (0, 2), (0.0, 1.0, 2.0), (-1.0, 0.0, 1.0), (1.0, 2.0, 3.0))
     with MapStore.create(path) as store:
         save(store, replace(make_keyframe(0), smoothed=unsure))
         save(store, make_keyframe(1))
@@ -309,8 +308,8 @@ def test_smoothed_labels_and_rooms(path: Path) -> None:
             "unknown", None, None,
         ]  # fmt: skip
         for _ in range(2):
-            finish(store, smoothed=[kitchen, None, unsure], regions=[region])
-        assert store.regions() == [region]
+            finish(store, smoothed=[kitchen, None, unsure], rooms=[room])
+        assert store.rooms() == [room]
         first, second, third = store.keyframes()
         np.testing.assert_array_equal(first.smoothed.probabilities, kitchen.probabilities)
         assert (first.smoothed.label, first.smoothed.probability) == ("kitchen", 0.7)

@@ -75,9 +75,9 @@ def rooms(store: MapStore) -> MapStore:
     """The same, with smoothed labels of which one differs, and two rooms."""
     labels = [("kitchen", 0.9), ("kitchen", 0.8), ("kitchen", 0.7), ("unknown", 0.5)]
     box = ((1.0, 0.0, 0.0),) * 3
-    regions = [MapRoom(0, "kitchen", 0.6, (0, 1), *box), MapRoom(1, "kitchen", 0.7, (2,), *box)]
+    rooms = [MapRoom(0, "kitchen", 0.6, (0, 1), *box), MapRoom(1, "kitchen", 0.7, (2,), *box)]
     poses = np.array([keyframe.T_odom_camera for keyframe in store.keyframes()])
-    store.finish(0, SessionResult([], poses, [smoothed(*label) for label in labels], regions))
+    store.finish(0, SessionResult([], poses, [smoothed(*label) for label in labels], rooms))
     return store
 
 

@@ -41,6 +41,19 @@ LOSS = (
 )
 
 
+TOPICS: dict[str, tuple[type, str, Any]] = {
+    "path": (PathMessage, "~/path", 1),
+    "pose": (PoseWithCovarianceStamped, "~/pose", 10),
+    "map_to_odom": (TransformStamped, "~/map_to_odom", 10),
+    "graph": (MarkerArray, "~/graph", LATCHED),
+    "map": (OccupancyGrid, "~/map", LATCHED),
+    "cloud": (PointCloud2, "~/cloud", 10),
+    "scene": (String, "~/scene", 10),
+    "diagnostics": (DiagnosticArray, "/diagnostics", 10),
+}
+"""What the node publishes: type, topic, and quality of service or length of the queue."""
+
+
 class SlamBofNode(Node):
     """Adds loop closing to the odometry of a robot with a depth camera."""
 
@@ -68,24 +81,19 @@ class SlamBofNode(Node):
             )
         )
         self._n_drawn = self._n_lost = self._n_lost_before = 0
-        self._publish = {
+        self._publish: dict[str, Any] = {
             name: self.create_publisher(kind, topic, qos)
-            for name, kind, topic, qos in (
-                ("path", PathMessage, "~/path", 1),
-                ("pose", PoseWithCovarianceStamped, "~/pose", 10),
-                ("map_to_odom", TransformStamped, "~/map_to_odom", 10),
-                ("graph", MarkerArray, "~/graph", LATCHED),
-                ("map", OccupancyGrid, "~/map", LATCHED),
-                ("cloud", PointCloud2, "~/cloud", 10),
-                ("scene", String, "~/scene", 10),
-                ("diagnostics", DiagnosticArray, "/diagnostics", 10),
-            )
+            for name, (kind, topic, qos) in TOPICS.items()
         }
         self._listen()
         self._connect_tf()
         for name, serve in (("save", self._save), ("finish", self._finish), ("reset", self._reset)):
             self.create_service(Trigger, f"~/{name}", self._answering(serve))
         self.create_service(SetBool, "~/pause", self._pause)
+        self._start_timers()
+
+    def _start_timers(self) -> None:
+        """Publish the correction, the diagnostics, and pictures of the map from time to time."""
         self.create_timer(1.0 / self._value("tf_rate"), self._publish_tf)
         self.create_timer(1.0, self._publish_diagnostics)
         # A map that is not in a process of its own must not be read while frames are processed.
