@@ -1,4 +1,4 @@
-"""What a sequence assumes about its camera and its unit of depth, checked before a run."""
+"""What a sequence or an image assumes about its camera and its unit of depth, checked first."""
 
 from __future__ import annotations
 
@@ -7,16 +7,17 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from slam_bof.datasets.depth_images import CAMERA_FILE
 from slam_bof.errors import DatasetError
 from slam_bof.ports import Dataset
-from slam_bof.types import Intrinsics
+from slam_bof.types import DepthFrame, Intrinsics, SensorParams
 
-__all__ = ["find_doubts"]
+__all__ = ["doubts_of_depth", "doubts_of_image", "find_doubts"]
 
 N_FRAMES = 5
 """Number of frames that are looked at."""
 MIN_DEPTH_M, MAX_DEPTH_M = 0.1, 8.0
-"""Depth that is used."""
+"""Depth of rooms."""
 TYPICAL_DEPTH_M = 2.0
 """Median depth of a room. Of several units that fit, the one that comes nearest is listed first."""
 MIN_PLAUSIBLE = 0.9
@@ -37,14 +38,27 @@ SWAPPED = 0.25
 the transposed image, below which its coordinates count as swapped."""
 
 
-def find_doubts(dataset: Dataset) -> list[str]:
+def find_doubts(dataset: Dataset, sensor: SensorParams | None = None) -> list[str]:
     """Return sentences on what is implausible about a sequence, for warnings.
 
-    Depth is in doubt if more than half of it, in a few frames, lies outside of 0.1 to 8 m; then
-    its unit is probably another. A camera is in doubt whose principal point fits the image turned
-    by 90 degrees much better.
+    Depth is in doubt if more than half of it, in a few frames, lies outside of the range of the
+    sensor, by default 0.1 to 8 m; then its unit is probably another. A camera is in doubt whose
+    principal point fits the image turned by 90 degrees much better.
     """
-    return [*_doubt_depth(_sample(dataset)), *_doubt_camera(dataset.intrinsics)]
+    remedy = f"depth_scale, the units per metre, is an option of bags and a key of {CAMERA_FILE}"
+    of_depth = doubts_of_depth(_sample(dataset), sensor)
+    return [*(f"{doubt}; {remedy}" for doubt in of_depth), *_doubt_camera(dataset.intrinsics)]
+
+
+def doubts_of_image(frame: DepthFrame) -> list[str]:
+    """Return sentences on what is implausible about a single depth image, like ``find_doubts``.
+
+    An image without any depth is in doubt as well.
+    """
+    depth_m = frame.depth_m()
+    if not depth_m.any():
+        return ["no pixel has a depth"]
+    return [*doubts_of_depth(depth_m[depth_m > 0]), *_doubt_camera(frame.intrinsics)]
 
 
 def _sample(dataset: Dataset) -> NDArray[np.float32]:
@@ -59,15 +73,17 @@ def _sample(dataset: Dataset) -> NDArray[np.float32]:
     return np.concatenate(depths)
 
 
-def _doubt_depth(depth_m: NDArray[np.float32]) -> Iterator[str]:
+def doubts_of_depth(depth_m: NDArray[np.float32], sensor: SensorParams | None = None) -> list[str]:
+    """Return a sentence if most of the depths (N,), in metres, lie outside the sensor's range."""
+    sensor = sensor or SensorParams()
     if len(depth_m) == 0:
-        return
-    near, far = np.mean(depth_m < MIN_DEPTH_M), np.mean(depth_m > MAX_DEPTH_M)
+        return []
+    near, far = np.mean(depth_m < sensor.min_depth_m), np.mean(depth_m > sensor.max_depth_m)
     if near + far <= 0.5:
-        return
-    where = f"{near:.0%} of all depth is below {MIN_DEPTH_M:g} m"
+        return []
+    where = f"{near:.0%} of all depth is below {sensor.min_depth_m:g} m"
     if far > near:
-        where = f"{far:.0%} of all depth is beyond {MAX_DEPTH_M:g} m"
+        where = f"{far:.0%} of all depth is beyond {sensor.max_depth_m:g} m"
     median_m = float(np.median(depth_m))
     likely = [
         (abs(np.log(median_m / factor / TYPICAL_DEPTH_M)), factor, cause)
@@ -75,11 +91,10 @@ def _doubt_depth(depth_m: NDArray[np.float32]) -> Iterator[str]:
         if _plausible(depth_m / factor) >= MIN_PLAUSIBLE
     ]
     listed = " or ".join(f"divided by {factor:g} ({cause})" for _, factor, cause in sorted(likely))
-    yield (
+    return [
         f"{where} (median {median_m:.3g} m), which is not used: the unit of depth is probably wrong"
         + (f"; depth would fit a room if {listed}" if listed else "")
-        + "; depth_scale, the units per metre, is an option of bags and a key of intrinsics.json"
-    )
+    ]
 
 
 def _plausible(depth_m: NDArray[np.float32]) -> float:

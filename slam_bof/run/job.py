@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry, unwrap_interruption
 from slam_bof.datasets import find_doubts, first_frame
+from slam_bof.errors import FrameWarning
 from slam_bof.geometry import delayed
 from slam_bof.maps import finish_session, restore_session
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
@@ -91,10 +93,11 @@ def run_job(
     """Run a session to its end, from its start or its last saved keyframe, and write its files."""
     closer = job.closer
     started = Usage.now()
-    doubts = find_doubts(job.dataset)
+    doubts = find_doubts(job.dataset, job.config.sensor)
     for doubt in doubts:
         job.observer.on_warning(doubt)
-    with _resumable(folder, job):
+    with _resumable(folder, job), warnings.catch_warnings():
+        warnings.simplefilter("ignore", FrameWarning)  # the doubts say the same
         with MapWriter(store) as writer:
             odometry = None if is_new else store.odometry(session.id)
             restore_session(closer, store, session, is_new=is_new)
