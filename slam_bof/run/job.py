@@ -19,7 +19,14 @@ from slam_bof.run.logging_observer import LoggingObserver
 from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
-from slam_bof.slam import Config, LoopCloser, MiniSlam, SlamResult, of_session
+from slam_bof.slam import (
+    Config,
+    LoopCloser,
+    MiniSlam,
+    SlamResult,
+    find_odometry_doubts,
+    of_session,
+)
 from slam_bof.store import MapStore, MapWriter, Session
 
 __all__ = ["Job", "RunInterrupted", "RunResult", "run_job"]
@@ -146,6 +153,8 @@ def _conclude(
             f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
         )
     record = _finish(job, store, session, result, used)
+    for doubt in find_odometry_doubts(closer.history.frames):
+        job.observer.on_warning(doubt)
     if closer.map.n_components > 1:
         job.observer.on_warning(
             f"the map has {closer.map.n_components} components that no loop has joined: poses of "
