@@ -30,9 +30,15 @@ TOO_FAR = {
 }
 TOO_NEAR = {
     1 / 5: "millimetres read as units of 0.2 mm",
+    1 / 10: "millimetres read as units of 0.1 mm, or centimetres as millimetres",
     1 / 1000: "metres read as millimetres",
 }
 """Factors by which depth is wrong if its unit is, and the usual cause."""
+REACH = 0.95
+"""Quantile of the depths of a sequence or an image that counts as how far it reaches."""
+MIN_REACH_M, MIN_REACH_OF_IMAGE_M = 1.0, 0.5
+"""Least plausible reach of a sequence and of a single image, which may be a close-up. Sequences of
+rooms reach 2.5 m at least."""
 SWAPPED = 0.25
 """Share of its distance from the middle of the image at which the principal point lies from that of
 the transposed image, below which its coordinates count as swapped."""
@@ -42,7 +48,8 @@ def find_doubts(dataset: Dataset, sensor: SensorParams | None = None) -> list[st
     """Return sentences on what is implausible about a sequence, for warnings.
 
     Depth is in doubt if more than half of it, in a few frames, lies outside of the range of the
-    sensor, by default 0.1 to 8 m; then its unit is probably another. A camera is in doubt whose
+    sensor, by default 0.1 to 8 m, or if nearly all is nearer than 1 m; then its unit is probably
+    another. A camera is in doubt whose
     principal point fits the image turned by 90 degrees much better.
     """
     remedy = f"depth_scale, the units per metre, is an option of bags and a key of {CAMERA_FILE}"
@@ -58,7 +65,8 @@ def doubts_of_image(frame: DepthFrame) -> list[str]:
     depth_m = frame.depth_m()
     if not depth_m.any():
         return ["no pixel has a depth"]
-    return [*doubts_of_depth(depth_m[depth_m > 0]), *_doubt_camera(frame.intrinsics)]
+    of_depth = doubts_of_depth(depth_m[depth_m > 0], min_reach_m=MIN_REACH_OF_IMAGE_M)
+    return [*of_depth, *_doubt_camera(frame.intrinsics)]
 
 
 def _sample(dataset: Dataset) -> NDArray[np.float32]:
@@ -73,18 +81,32 @@ def _sample(dataset: Dataset) -> NDArray[np.float32]:
     return np.concatenate(depths)
 
 
-def doubts_of_depth(depth_m: NDArray[np.float32], sensor: SensorParams | None = None) -> list[str]:
-    """Return a sentence if most of the depths (N,), in metres, lie outside the sensor's range."""
+def doubts_of_depth(
+    depth_m: NDArray[np.float32],
+    sensor: SensorParams | None = None,
+    *,
+    min_reach_m: float = MIN_REACH_M,
+) -> list[str]:
+    """Return a sentence if depths (N,), in metres, are probably in another unit.
+
+    Most lie outside of the range of the sensor, or nearly all are nearer than ``min_reach_m``.
+    """
     sensor = sensor or SensorParams()
     if len(depth_m) == 0:
         return []
     near, far = np.mean(depth_m < sensor.min_depth_m), np.mean(depth_m > sensor.max_depth_m)
-    if near + far <= 0.5:
-        return []
-    where = f"{near:.0%} of all depth is below {sensor.min_depth_m:g} m"
-    if far > near:
-        where = f"{far:.0%} of all depth is beyond {sensor.max_depth_m:g} m"
+    reach_m = float(np.quantile(depth_m, REACH))
     median_m = float(np.median(depth_m))
+    if near + far > 0.5 and far > near:
+        where = f"{far:.0%} of all depth is beyond {sensor.max_depth_m:g} m"
+        where += f" (median {median_m:.3g} m), which is not used"
+    elif near + far > 0.5:
+        where = f"{near:.0%} of all depth is below {sensor.min_depth_m:g} m"
+        where += f" (median {median_m:.3g} m), which is not used"
+    elif reach_m < min(min_reach_m, sensor.max_depth_m):
+        where = f"{REACH:.0%} of all depth is below {reach_m:.2g} m, nearer than rooms are"
+    else:
+        return []
     likely = [
         (abs(np.log(median_m / factor / TYPICAL_DEPTH_M)), factor, cause)
         for factor, cause in (TOO_FAR if far > near else TOO_NEAR).items()
@@ -92,7 +114,7 @@ def doubts_of_depth(depth_m: NDArray[np.float32], sensor: SensorParams | None = 
     ]
     listed = " or ".join(f"divided by {factor:g} ({cause})" for _, factor, cause in sorted(likely))
     return [
-        f"{where} (median {median_m:.3g} m), which is not used: the unit of depth is probably wrong"
+        f"{where}: the unit of depth is probably wrong"
         + (f"; depth would fit a room if {listed}" if listed else "")
     ]
 
