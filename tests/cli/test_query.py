@@ -78,6 +78,29 @@ def test_labels_are_smoothed_or_raw(labelled: Path) -> None:
     assert [r["id"] for r in found(labelled, "--min-probability", 0.85)] == [0]
 
 
+def test_a_label_that_none_has_and_a_time_outside_of_the_map_are_told(labelled: Path) -> None:
+    with MapStore.open(labelled / "map.db") as store:
+        (*_, last) = store.keyframes()
+    only = slam_bof("query", labelled, "--scene", "office", "--labels", "raw")
+    assert only.stderr == ""
+    none = slam_bof("query", labelled, "--scene", "unknown")
+    assert none.exit_code == 0
+    assert none.stderr == (
+        "warning: no keyframe has the smoothed label unknown; there are: kitchen 3, office 1; "
+        "--labels raw counts each keyframe by itself\n"
+    )
+    excluded = slam_bof("query", labelled, "--scene", "office", "--min-probability", 0.99)
+    assert excluded.stderr == ""
+    late = slam_bof("query", labelled, "--time", 1764460000)
+    assert late.stderr == (
+        "warning: no keyframe was near 1764460000 s: those of the map have times from 0.000 to "
+        f"{last.stamp_s:.3f} s\n"
+    )
+    assert "apart s" in late.stdout
+    assert slam_bof("query", labelled, "--time", last.stamp_s + 0.5).stderr == ""
+    assert "distance m" in slam_bof("query", labelled, "--near", 0, 0, 0).stdout
+
+
 def test_numbers_of_a_place_come_with_spaces_or_commas(labelled: Path) -> None:
     for near in ([2.1, -1, 0], ["2.1,-1,0"], ["2.1, -1 0"]):
         assert [r["id"] for r in found(labelled, "--near", *near, "--limit", 2)] == [2, 3]
