@@ -47,7 +47,10 @@ DESCRIPTIONS = {
     "recorded poses), or with quaternions in another order than x y z w",
     "turned": "axes that are turned by {degrees:.0f} degrees, or mirrored",
 }
-FORMATS = "are the times those of the depth images, and the quaternions in the order x y z w?"
+NOTHING_FITS = (
+    "no other axes fit either, so that it slips, or its times are not those of the depth images, "
+    "or its quaternions are not in the order x y z w"
+)
 
 
 class OdometryCheck:
@@ -158,7 +161,7 @@ def _doubt_convention(motions: Array) -> list[str]:
     if min(errors["ros"], errors["opengl"]) > FITTING_ERROR:  # of which each is a turn itself
         errors["turned"] = _error(tracked, by_odometry @ turned_by.T)
     best = min(errors.values())
-    likely = "no other axes fit either; " + FORMATS
+    likely = NOTHING_FITS
     if best <= FITTING_ERROR:
         degrees = np.degrees(se3.rotation_angle(turned_by))
         likely = "it would fit as " + ", or as ".join(
