@@ -17,13 +17,15 @@ DEPTH_MM = box_room_depth_mm(CAMERA, np.eye(4))
 N_FRAMES = 30
 
 
-def check(depth: np.ndarray, sensor: SensorParams | None = None) -> list[str]:
-    """Return what is warned of the same depth image at 30 Hz."""
+def check(
+    depth: np.ndarray, sensor: SensorParams | None = None, *, second: float = 1.0
+) -> list[str]:
+    """Return what is warned of the same depth image at 30 Hz; stamps have that unit."""
     checks = FrameChecks(sensor)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         for k in range(N_FRAMES):
-            checks.check(DepthFrame(k / 30, depth, CAMERA), (k - 1) / 30)
+            checks.check(DepthFrame(k * second / 30, depth, CAMERA), (k - 1) * second / 30)
     assert all(w.category is FrameWarning for w in said)
     return [str(w.message) for w in said]
 
@@ -47,6 +49,11 @@ def test_another_unit_is_warned_of_once_with_what_is_expected(
     (said,) = check(depth)
     assert likely in said
     assert said.endswith("DepthFrame takes uint16 in millimetres or floats in metres")
+
+
+def test_stamps_in_milliseconds_are_warned_of() -> None:
+    assert check(DEPTH_MM, second=1e3) == ["frames are 33.3 s apart: are time stamps in seconds?"]
+    assert check(DEPTH_MM, second=30.0) == []  # a frame a second
 
 
 def test_a_sensor_that_sees_farther_may() -> None:
