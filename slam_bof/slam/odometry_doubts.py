@@ -34,9 +34,9 @@ MUCH_BETTER = 2.0
 """A convention that fits this much worse than the best one is not named beside it."""
 STILL = 0.1
 """Share of the motion by tracking below which odometry does not move at all."""
-MAX_UNIT = 3.0
-"""Factor between the lengths of motions from which the unit of odometry is in doubt. No odometry
-errs by as much in the median; units differ by 10 and more."""
+MAX_UNIT = 5.0
+"""Factor between the lengths of motions from which the unit of odometry is in doubt. Units differ
+by 10 and more; where the camera hardly moves, a phone's depth alone may be off by 4."""
 
 DESCRIPTIONS = {
     "ros": "axes x forward, y left, z up, as of ROS's base_link (odometry.options.convention=ros "
