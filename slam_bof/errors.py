@@ -1,4 +1,4 @@
-"""All errors that a user can correct, with one base class.
+"""All errors that a user can correct, with one base class, and the warning of doubtful frames.
 
 Each message is one line that names the file or key, what was found and what was expected. A bad
 argument to a function raises a plain ``ValueError`` instead.
@@ -9,6 +9,7 @@ __all__ = [
     "ConfigError",
     "DatasetError",
     "FrameError",
+    "FrameWarning",
     "MapError",
     "ModelError",
     "PluginError",
@@ -51,6 +52,10 @@ class DatasetError(SlamBofError):
 
 class FrameError(SlamBofError, ValueError):
     """A frame that cannot be processed: by its time, its camera or its pose. The next one may."""
+
+
+class FrameWarning(UserWarning):
+    """Frames that are processed, but are probably not what they are taken for."""
 
 
 class ModelError(SlamBofError):

@@ -13,20 +13,12 @@ from pydantic import Field
 
 from slam_bof.core import open_npy, read_text
 from slam_bof.errors import DatasetError, PluginError
-from slam_bof.geometry import read_kitti, read_tum, se3
-from slam_bof.types import Array, DepthFrame, Params, Pose, Trajectory
+from slam_bof.geometry import AXES, read_kitti, read_tum, se3
+from slam_bof.types import DepthFrame, Params, Pose, Trajectory
 
-__all__ = ["AXES", "RecordedOdometry", "RecordedParams"]
+__all__ = ["RecordedOdometry", "RecordedParams"]
 
 logger = logging.getLogger(__name__)
-
-AXES: dict[str, Array] = {
-    "camera": np.eye(3),
-    "ros": np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]),
-    "opengl": np.diag([1.0, -1.0, -1.0]),
-}
-"""``R_recorded_camera`` (3, 3) of each convention: ``camera`` x right, y down, z forward; ``ros``
-(base_link, REP-103) x forward, y left, z up; ``opengl`` x right, y up, z back."""
 
 BAGS = (".bag", ".mcap", ".db3")
 EDGE_S = 0.02

@@ -50,25 +50,32 @@ def check(
     import numpy as np
 
     from slam_bof.cli.console import FrameBar
+    from slam_bof.errors import DatasetError
     from slam_bof.evaluation import calibrate, measure_motions
-    from slam_bof.slam import config as configs
+    from slam_bof.slam import OdometryCheck, config as configs
     from slam_bof.types import Step, Trajectory
 
     config = configs.override(configs.resolve("indoor"), assignments or [])
     choice = config.dataset.model_copy(update={"name": dataset})
     opened, _ = open_sequence(sequence, choice, frames, quiet=quiet)
     visits: list[tuple[float, Pose]] = []
+    tracked = OdometryCheck(config)
     with FrameBar(opened.sequence, quiet=quiet) as bar:
 
         def read() -> Iterator[tuple[DepthFrame, Pose]]:
             for index, (frame, T) in enumerate(_read(opened, odometry, config, max_frames, bar)):
                 visits.append((frame.stamp_s, T))
+                if np.isfinite(T).all():
+                    tracked.add(frame, T)
                 bar.on_step(index, Step(None, None, (), (), np.eye(4)))
                 yield frame, T
 
         motions = measure_motions(read(), seed=config.seed)
     stamps_s, poses = zip(*visits, strict=True)
     found = calibrate(motions, Trajectory(np.array(stamps_s), np.array(poses)))
+    # Where odometry is something else altogether, a fit of small differences says nothing.
+    if doubts := tracked.doubts():
+        raise DatasetError(f"{odometry or opened.sequence}: {'; '.join(doubts)}")
     _show(found, config.sensor.depth_scale, odometry, as_json=as_json)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,7 +18,7 @@ from slam_bof.cli.options import parse_numbers
 if TYPE_CHECKING:
     from slam_bof.ports import Dataset
     from slam_bof.slam import PluginChoice
-    from slam_bof.types import DepthFrame
+    from slam_bof.types import DepthFrame, Intrinsics
 
 __all__ = ["map_file", "open_sequence", "read_image"]
 
@@ -64,27 +65,31 @@ def read_image(
 ) -> tuple[DepthFrame, str]:
     """Read a depth image whose camera and unit are given, in intrinsics.json, or those of a map.
 
-    Return the frame, and the source of its intrinsics in words.
+    Return the frame, and the source of its intrinsics in words. What is implausible about its
+    camera or its unit of depth is printed as a warning.
 
     Raises
     ------
     DatasetError
         If they are unknown: they are not guessed.
     """
-    from slam_bof.datasets import CAMERA_FILE, read_depth_image
+    from slam_bof.datasets import CAMERA_FILE, doubts_of_image, read_depth_image
     from slam_bof.errors import DatasetError
     from slam_bof.store import MapStore
 
-    given = None
+    if not os.path.isfile(path):  # is_file raises for long names
+        raise DatasetError(f"{str(path)[-200:]}: found no such file, expected a depth image")
+    given: Intrinsics | list[float] | None = None
     if intrinsics is not None:
         given = parse_numbers("--intrinsics", intrinsics, "FX FY CX CY in pixels")
     is_described = (path.parent / CAMERA_FILE).is_file()
     source = ""
-    if map_ is not None and not (is_described and given is None):
+    if map_ is not None:
         with MapStore.open(map_) as store:
             camera, units = store.intrinsics(), store.parameters().get("units_per_m", "null")
+    if map_ is not None and not (is_described and given is None):
         if given is None and camera is not None:
-            given, source = [camera.fx, camera.fy, camera.cx, camera.cy], f"from {store.path}"
+            given, source = camera, f"from {store.path}"
         if depth_scale is None and path.suffix != ".npy":
             depth_scale = json.loads(units)
             if depth_scale is None:
@@ -103,6 +108,8 @@ def read_image(
             "per metre, such as 1000"
         )
     frame, found = read_depth_image(path, intrinsics=given, depth_scale=depth_scale)
+    for doubt in doubts_of_image(frame):
+        typer.echo(one_line(f"warning: {path}: {doubt}"), err=True)
     return frame, source or found
 
 

@@ -11,6 +11,7 @@ import typer
 from typer.core import TyperGroup
 
 from slam_bof.cli.inputs import map_file, read_image
+from slam_bof.cli.one_line import one_line
 from slam_bof.cli.options import (
     COMPONENT,
     DEPTH_SCALE,
@@ -47,6 +48,7 @@ KEYFRAMES = (
     ("loops", "n_loops"),
     ("component", "component"),
 )
+APART, DISTANCE = ("apart s", "apart_s"), ("distance m", "distance_m")
 SIGMAS = (("sigma m", "sigma_m"), ("sigma degrees", "sigma_degrees"))
 LOOPS = (
     ("query", "query_id"),
@@ -59,6 +61,8 @@ LOOPS = (
     ("reason", "reason"),
     ("component", "component"),
 )
+OUTSIDE_S = 1.0
+"""Seconds before the first and after the last keyframe for which these are taken as the answer."""
 ROOMS = (
     ("room", "id"),
     ("label", "label"),
@@ -168,7 +172,45 @@ def keyframes(
         rows = [asdict(record) for record in records]
         if uncertainty:
             rows = _with_sigmas(rows, store)
-    show_rows(rows, (*KEYFRAMES, *SIGMAS) if uncertainty else KEYFRAMES, form)
+        _remark_on_time(store, time)
+        if scene is not None and not rows:
+            _remark_on_scene(store, scene, labels)
+    asked = () if time is None else (APART,)
+    asked = (DISTANCE,) if near is not None else asked
+    show_rows(rows, (*KEYFRAMES, *asked, *(SIGMAS if uncertainty else ())), form)
+
+
+def _remark_on_time(store: MapStore, time_s: float | None) -> None:
+    """Say that a time lies outside of what the map holds, if so."""
+    from slam_bof.store import query_keyframes
+
+    if time_s is None:
+        return
+    stamps_s = [record.stamp_s for record in query_keyframes(store)]
+    if stamps_s and not min(stamps_s) - OUTSIDE_S <= time_s <= max(stamps_s) + OUTSIDE_S:
+        typer.echo(
+            f"warning: no keyframe was near {time_s:.12g} s: those of the map have times from "
+            f"{min(stamps_s):.3f} to {max(stamps_s):.3f} s",
+            err=True,
+        )
+
+
+def _remark_on_scene(store: MapStore, scene: str, labels: Literal["smoothed", "raw"]) -> None:
+    """Say which labels there are instead of one that no keyframe has."""
+    from collections import Counter
+
+    from slam_bof.store import query_keyframes
+
+    found = [
+        record.scene if labels == "raw" or record.smoothed is None else record.smoothed
+        for record in query_keyframes(store)
+    ]
+    if scene in found:
+        return  # another condition excludes it
+    counts = ", ".join(f"{name} {n}" for name, n in Counter(found).most_common() if name)
+    other = "; --labels raw counts each keyframe by itself" if labels == "smoothed" else ""
+    text = f"no keyframe has the {labels} label {scene}; there are: {counts or 'none'}{other}"
+    typer.echo(one_line(f"warning: {text}"), err=True)
 
 
 def _with_sigmas(rows: list[dict[str, Any]], store: MapStore) -> list[dict[str, Any]]:

@@ -26,7 +26,11 @@ from .labelled_images import (
     has_groups as has_groups,
     read_image_table as read_image_table,
 )
-from .plausibility import find_doubts as find_doubts
+from .plausibility import (
+    doubts_of_depth as doubts_of_depth,
+    doubts_of_image as doubts_of_image,
+    find_doubts as find_doubts,
+)
 from .realsense import (
     RealSense as RealSense,
 )

@@ -29,6 +29,9 @@ MILLIMETRES = 1000.0
 ENDLESS = (RecursionError, OverflowError)
 """What the parser raises for JSON that is nested too deep or has numbers that are too large."""
 FRAMES_PER_S = 30.0
+MIN_REACH_M = 1.0
+"""Least depth that the largest value of 8 bits has to stand for, or the image is no depth of rooms:
+grey values in millimetres reach 0.255 m."""
 
 
 def is_image(path: Path) -> bool:
@@ -39,7 +42,7 @@ def is_image(path: Path) -> bool:
 def read_depth_image(
     path: Path,
     *,
-    intrinsics: Sequence[float] | None = None,
+    intrinsics: Intrinsics | Sequence[float] | None = None,
     depth_scale: float | None = None,
     camera_file: Path | None = None,
     stamp_s: float = 0.0,
@@ -53,8 +56,8 @@ def read_depth_image(
     path
         The file.
     intrinsics
-        fx, fy, cx, cy in pixels. By default those of the camera file, or else a Kinect's, scaled
-        to the image's width.
+        fx, fy, cx, cy in pixels, or a camera, whose images have that size. By default those of the
+        camera file, or else a Kinect's, scaled to the image's width.
     depth_scale
         Units a metre; by default that of the camera file, or else 1000, and 1 for floats.
     camera_file
@@ -85,7 +88,14 @@ def read_depth_image(
     if camera_file is not None:
         camera, scale, offset = _read_camera(camera_file, width, height)
         depth_scale, source = depth_scale or scale, f"from {camera_file}"
-    if intrinsics is not None:
+    if isinstance(intrinsics, Intrinsics):
+        camera, source = intrinsics, "as given"
+        if (camera.width, camera.height) != (width, height):
+            raise DatasetError(
+                f"{path}: found {width}x{height} pixels, expected {camera.width}x{camera.height} "
+                "as the images of the given camera"
+            )
+    elif intrinsics is not None:
         fx, fy, cx, cy = intrinsics
         camera = checked_intrinsics(f"--intrinsics for {path}", width, height, fx, fy, cx, cy)
         source = "as given"
@@ -98,6 +108,12 @@ def read_depth_image(
             raise DatasetError(
                 f"{path}: found an image of 8 bits, expected 16 bits, or a camera file with "
                 "depth_scale, the units a metre"
+            )
+        reach_m = (255.0 + offset) / depth_scale
+        if reach_m < MIN_REACH_M:
+            raise DatasetError(
+                f"{path}: found an image of 8 bits, which reaches {reach_m:.3g} m with depth_scale "
+                f"{depth_scale:g}, expected 16 bits, or the depth_scale of 8 bits"
             )
         depth = np.where(depth == 0, 0.0, depth + np.float32(offset)).astype(np.float32)
         depth = checked_depth(path, depth / np.float32(depth_scale))

@@ -12,6 +12,7 @@ from .camera import (
 from .compilation import (
     compile_alignment as compile_alignment,
 )
+from .conventions import AXES as AXES
 from .depth_view import (
     DepthView as DepthView,
     make_view as make_view,

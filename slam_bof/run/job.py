@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from slam_bof.core import StageClock, Usage, registry, unwrap_interruption
 from slam_bof.datasets import find_doubts, first_frame
+from slam_bof.errors import FrameWarning
 from slam_bof.geometry import delayed
 from slam_bof.maps import finish_session, restore_session
 from slam_bof.ports import Dataset, NullObserver, Observer, Odometry
@@ -18,7 +20,14 @@ from slam_bof.run.metrics import Metrics, compute_metrics
 from slam_bof.run.options import RunOptions
 from slam_bof.run.outputs import write_outputs, write_trajectory
 from slam_bof.run.record import RunRecord
-from slam_bof.slam import Config, LoopCloser, MiniSlam, SlamResult, of_session
+from slam_bof.slam import (
+    Config,
+    LoopCloser,
+    MiniSlam,
+    SlamResult,
+    find_odometry_doubts,
+    of_session,
+)
 from slam_bof.store import MapStore, MapWriter, Session
 
 __all__ = ["Job", "RunInterrupted", "RunResult", "run_job"]
@@ -85,10 +94,11 @@ def run_job(
     """Run a session to its end, from its start or its last saved keyframe, and write its files."""
     closer = job.closer
     started = Usage.now()
-    doubts = find_doubts(job.dataset)
+    doubts = find_doubts(job.dataset, job.config.sensor)
     for doubt in doubts:
         job.observer.on_warning(doubt)
-    with _resumable(folder, job):
+    with _resumable(folder, job), warnings.catch_warnings():
+        warnings.simplefilter("ignore", FrameWarning)  # the doubts say the same
         with MapWriter(store) as writer:
             odometry = None if is_new else store.odometry(session.id)
             restore_session(closer, store, session, is_new=is_new)
@@ -137,6 +147,8 @@ def _conclude(
             f"{closer.n_frames_lost} of {len(result.indices)} frames are lost: {reason}"
         )
     record = _finish(job, store, session, result, used)
+    for doubt in find_odometry_doubts(closer.history.frames):
+        job.observer.on_warning(doubt)
     if closer.map.n_components > 1:
         job.observer.on_warning(
             f"the map has {closer.map.n_components} components that no loop has joined: poses of "

@@ -32,3 +32,7 @@ from .mini_slam import (
     SlamResult as SlamResult,
     of_session as of_session,
 )
+from .odometry_doubts import (
+    OdometryCheck as OdometryCheck,
+    find_odometry_doubts as find_odometry_doubts,
+)

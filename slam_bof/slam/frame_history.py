@@ -13,6 +13,10 @@ from slam_bof.types import LOST, Array, FramePose, Keyframe, Trajectory
 
 __all__ = ["FrameHistory"]
 
+TIE = 1e-6
+"""Relative difference of two distances from the map that counts as none: last digits of the map,
+which depend on where a call was interrupted, must not decide between odometry and tracking."""
+
 
 class FrameHistory:
     """Stores the poses of all processed frames in order."""
@@ -54,7 +58,8 @@ class FrameHistory:
         """Return the sensor pose of each frame, corrected by the keyframe poses (K, 4, 4).
 
         Between keyframes, frames move as in odometry or as in tracking, whichever is nearer to the
-        map from keyframe to keyframe. Without keyframes the poses are those of tracking.
+        map from keyframe to keyframe; as in odometry where both are equally near, as with exact
+        odometry. Without keyframes the poses are those of tracking.
         """
         stamps_s = np.array([frame.stamp_s for frame in self.frames])
         poses = np.array([frame.T_odom_camera for frame in self.frames]).reshape(-1, 4, 4)
@@ -66,8 +71,9 @@ class FrameHistory:
             off, off_raw = (
                 _mean_difference(T[at], T_map_keyframes, segments[at]) for T in (poses, raw)
             )
+            follows_odometry = off_raw <= (1.0 + TIE) * off
             poses = spread_correction(
-                raw if off_raw < off else poses, stamps_s, at, T_map_keyframes, segments
+                raw if follows_odometry else poses, stamps_s, at, T_map_keyframes, segments
             )
         return Trajectory(stamps_s, poses @ self._T_view_camera())
 

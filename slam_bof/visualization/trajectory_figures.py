@@ -15,6 +15,8 @@ __all__ = ["draw_errors", "draw_top_view", "draw_trajectories"]
 NAMES = {"groundtruth": "ground truth", "odometry": "odometry alone", "optimized": "with loops"}
 MAX_LINKS = 80
 """Number of edges of one kind that are drawn in a figure."""
+COMPONENT_COLORS = PALETTE[4:]
+"""Of further components: those unlike odometry, the largest component, loops and wrong loops."""
 
 
 def draw_top_view(
@@ -139,7 +141,7 @@ def _path_style(name: str) -> dict[str, Any]:
         "optimized": {"width": 3},
     }
     if name not in NAMES:  # a further component
-        color = PALETTE[int(name.split()[-1]) % len(PALETTE)]
+        color = COMPONENT_COLORS[(int(name.split()[-1]) - 1) % len(COMPONENT_COLORS)]
         return {"mode": "lines", "name": name, "line": {"color": color, "width": 3}}
     return {
         "mode": "lines",

@@ -78,6 +78,29 @@ def test_labels_are_smoothed_or_raw(labelled: Path) -> None:
     assert [r["id"] for r in found(labelled, "--min-probability", 0.85)] == [0]
 
 
+def test_a_label_that_none_has_and_a_time_outside_of_the_map_are_told(labelled: Path) -> None:
+    with MapStore.open(labelled / "map.db") as store:
+        (*_, last) = store.keyframes()
+    only = slam_bof("query", labelled, "--scene", "office", "--labels", "raw")
+    assert only.stderr == ""
+    none = slam_bof("query", labelled, "--scene", "unknown")
+    assert none.exit_code == 0
+    assert none.stderr == (
+        "warning: no keyframe has the smoothed label unknown; there are: kitchen 3, office 1; "
+        "--labels raw counts each keyframe by itself\n"
+    )
+    excluded = slam_bof("query", labelled, "--scene", "office", "--min-probability", 0.99)
+    assert excluded.stderr == ""
+    late = slam_bof("query", labelled, "--time", 1764460000)
+    assert late.stderr == (
+        "warning: no keyframe was near 1764460000 s: those of the map have times from 0.000 to "
+        f"{last.stamp_s:.3f} s\n"
+    )
+    assert "apart s" in late.stdout
+    assert slam_bof("query", labelled, "--time", last.stamp_s + 0.5).stderr == ""
+    assert "distance m" in slam_bof("query", labelled, "--near", 0, 0, 0).stdout
+
+
 def test_numbers_of_a_place_come_with_spaces_or_commas(labelled: Path) -> None:
     for near in ([2.1, -1, 0], ["2.1,-1,0"], ["2.1, -1 0"]):
         assert [r["id"] for r in found(labelled, "--near", *near, "--limit", 2)] == [2, 3]
@@ -194,6 +217,38 @@ def test_images_that_are_none(two_kinds: Path, tmp_path: Path) -> None:
     other.write_bytes(image.read_bytes())
     (tmp_path / "intrinsics.json").write_text('{"width": 1}')
     assert "expected JSON with width, height" in refusal("query", other, *trained[:2])
+
+
+def test_images_that_cannot_be_what_they_are_taken_for(two_kinds: Path, tmp_path: Path) -> None:
+    trained = ("--model", two_kinds / "two.bof")
+    image = two_kinds / "wide.png"
+    assert slam_bof("query", image, *trained, *OWN, *MILLIMETRES).stderr == ""
+    wrong = slam_bof("query", image, *trained, *OWN, "--depth-scale", 100)
+    assert wrong.exit_code == 0
+    assert wrong.stderr.startswith(f"warning: {image}: ")
+    assert "divided by 10 (units of 0.1 mm, as of RealSense D405)" in wrong.stderr
+    cv2.imwrite(str(tmp_path / "dark.png"), np.zeros((120, 160), np.uint16))
+    dark = slam_bof("query", tmp_path / "dark.png", *trained, *OWN, *MILLIMETRES)
+    assert dark.stderr == f"warning: {tmp_path / 'dark.png'}: no pixel has a depth\n"
+    cv2.imwrite(str(tmp_path / "grey.png"), np.full((120, 160), 200, np.uint8))
+    assert "found an image of 8 bits, which reaches 0.255 m with depth_scale 1000" in refusal(
+        "query", tmp_path / "grey.png", *trained, *OWN, *MILLIMETRES
+    )
+
+
+def test_a_map_that_is_named_for_its_camera_is_there_and_of_that_camera(
+    two_kinds: Path, labelled: Path, tmp_path: Path
+) -> None:
+    trained = ("--model", two_kinds / "two.bof")
+    cv2.imwrite(str(tmp_path / "large.png"), np.full((240, 320), 2000, np.uint16))
+    assert "large.png: found 320x240 pixels, expected 64x48" in refusal(
+        "query", tmp_path / "large.png", *trained, "--map", labelled, *MILLIMETRES
+    )
+    camera = {"width": 320, "height": 240, "fx": 300, "fy": 300, "cx": 160, "cy": 120}
+    (tmp_path / "intrinsics.json").write_text(json.dumps(camera))
+    assert "none.db: found no file" in refusal(
+        "query", "image", tmp_path / "large.png", *trained, "--map", tmp_path / "none.db"
+    )
 
 
 def test_tables_call_labels_as_json_does(labelled: Path) -> None:

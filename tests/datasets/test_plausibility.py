@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import CAMERA, box_room_depth_mm
 
-from slam_bof.datasets import find_doubts
+from slam_bof.datasets import doubts_of_image, find_doubts
 from slam_bof.errors import DatasetError
 from slam_bof.types import DepthFrame, Intrinsics
 
@@ -49,6 +49,22 @@ def test_a_wrong_unit_is_named(factor, likely):
     (doubt,) = doubts(factor, damaged=[0])
     assert likely in doubt
     assert ("beyond 8 m" if factor > 1 else "below 0.1 m") in doubt
+
+
+@pytest.mark.parametrize(
+    ("factor", "likely"), [(0.2, "divided by 0.2 (millimetres"), (0.1, "divided by 0.1 (")]
+)
+def test_a_room_too_small_to_be_one_is_named(factor, likely):
+    (doubt,) = doubts(factor)
+    assert "nearer than rooms are: the unit of depth is probably wrong" in doubt
+    assert likely in doubt
+
+
+def test_a_single_image_may_be_a_close_up_but_not_of_millimetres():
+    depth_m = 0.2 / 1000 * box_room_depth_mm(CAMERA, np.eye(4))
+    assert doubts_of_image(DepthFrame(0.0, depth_m, CAMERA)) == []
+    (doubt,) = doubts_of_image(DepthFrame(0.0, 0.4 * depth_m, CAMERA))
+    assert "nearer than rooms are" in doubt
 
 
 def test_a_unit_that_nobody_uses_is_told_all_the_same():

@@ -175,7 +175,7 @@ def test_the_log_has_warnings_of_plugins_and_how_the_run_ended(monkeypatch, tmp_
         return frame(self, index)
 
     monkeypatch.setattr(BoxRoom, "frame", warn_and_fail)
-    monkeypatch.setattr("slam_bof.run.job.find_doubts", lambda dataset: [])
+    monkeypatch.setattr("slam_bof.run.job.find_doubts", lambda dataset, sensor: [])
     with pytest.raises(RuntimeError):
         run(tmp_path)
     (log,) = tmp_path.glob("2*/run.log")

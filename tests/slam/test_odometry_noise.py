@@ -230,6 +230,23 @@ def test_frames_move_as_odometry_or_tracking_has_them_whichever_is_nearer_to_the
         assert poses == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.parametrize("last_digit", [-1e-12, 0.0, 1e-12])
+def test_frames_move_as_odometry_where_tracking_is_as_near_to_the_map(last_digit):
+    raw = np.tile(np.eye(4), (5, 1, 1))
+    raw[:, 2, 3] = np.arange(5) * 0.1
+    tracked = raw.copy()
+    tracked[1, 0, 3] = 0.02  # of no keyframe
+    tracked[4, 2, 3] += last_digit
+    frames = zip(raw, tracked, strict=True)
+    history = FrameHistory(FramePose(float(k), *poses, 0) for k, poses in enumerate(frames))
+    at = [0, 2, 4]
+    keyframes = [Keyframe(k, i, float(i), tracked[i], EMPTY, None) for k, i in enumerate(at)]
+    optimised = raw[at].copy()
+    optimised[1:, 2, 3] += 0.001
+    found = history.trajectory(keyframes, optimised).poses
+    assert np.abs(found[:, 0, 3]).max() < 1e-9
+
+
 def test_what_was_learnt_of_forgotten_keyframes_stays():
     rng = np.random.default_rng(2)
     truth = motion(rng)

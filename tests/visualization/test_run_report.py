@@ -4,6 +4,7 @@ import re
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import cv2
@@ -183,6 +184,13 @@ def test_components_are_apart(tmp_path: Path, data, plan: Plan) -> None:
         x = {n: decoded(traces[n]["x"]) for n in ("with loops", "component 1")}
         np.testing.assert_array_equal(np.isnan(x["with loops"]), np.arange(40) >= 24)
         np.testing.assert_array_equal(np.isnan(x["component 1"]), np.arange(40) < 24)
+        colors = [
+            np.array([*bytes.fromhex(trace["line"]["color"][1:])])
+            for name, trace in traces.items()
+            if name in ("odometry alone", "with loops", "component 1")
+        ]
+        assert len(colors) == 3
+        assert min(np.linalg.norm(a - b) for a, b in combinations(colors, 2)) > 60
     with pytest.raises(ValueError, match="for each of 10 keyframes, got 1"):
         replace(data, components=[0])
 
