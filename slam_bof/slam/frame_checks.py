@@ -26,7 +26,7 @@ MAX_STEP_S = 5.0
 frames a second are 33 apart."""
 SAMPLED_PX = 4
 """Every so many pixels along rows and columns."""
-CALLER = 5
+CALLER = 6
 """Level of the stack at which ``LoopCloser.process`` is called: from there it is warned."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from slam_bof.bof import compile_bof
 from slam_bof.core import Checkpoint, StageClock, one_blas_thread
+from slam_bof.errors import FrameWarning
 from slam_bof.geometry import compile_alignment, se3
 from slam_bof.slam.background import BackgroundMapping
 from slam_bof.slam.config import Config, preset, resolve
@@ -19,6 +21,7 @@ from slam_bof.slam.frame_history import FrameHistory
 from slam_bof.slam.keyframe_map import KeyframeMap
 from slam_bof.slam.map_updates import Journal, MapUpdates
 from slam_bof.slam.mapping import DirectMapping, KeyframeJob, Mapping, MapUpdate
+from slam_bof.slam.odometry_doubts import find_odometry_doubts
 from slam_bof.slam.session_frames import SessionFrames, TrackedFrame
 from slam_bof.slam.whole_calls import WholeCalls
 from slam_bof.types import (
@@ -204,6 +207,8 @@ class LoopCloser:
 
         Without any keyframe, because all frames were empty, this is the odometry. Loops that
         contradict the others move from ``loops`` to ``loops_left_out``. It may be called again.
+        Odometry that turns about other axes than depth shows, or moves by another unit, is warned
+        of (``FrameWarning``).
 
         Keyframes that the journal could not save are passed to it again. If it fails again, set
         ``journal`` to None and call once more to get the trajectory all the same.
@@ -214,7 +219,10 @@ class LoopCloser:
                 self._map.graph.optimize()
             own = self._map.of_session
             poses = self._map.poses()[self._map.first_keyframe :] if own else None
-            return self.history.trajectory(own, poses)
+            trajectory = self.history.trajectory(own, poses)
+        for doubt in find_odometry_doubts(self.history.frames):
+            warnings.warn(doubt, FrameWarning, stacklevel=2)
+        return trajectory
 
     @one_blas_thread()
     def restore(self, records: Iterable[KeyframeRecord]) -> None:

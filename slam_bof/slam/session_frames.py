@@ -73,7 +73,7 @@ class SessionFrames:
         self.newest: TrackedFrame | None = None
         self.tracker = Tracker(config.tracking, seed=config.seed)
         self._config = config
-        self._checks = FrameChecks()
+        self._checks = FrameChecks(config.sensor)
         self._cloud_camera = CloudCamera(config.gravity_odom, config.virtual_camera)
         self._selector = KeyframeSelector(config.keyframes)
         self._segment: int | None = None  # of this session's newest keyframe

@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import Look
 from typer.testing import CliRunner
 
 from slam_bof.cli import app
 from slam_bof.core import registry
+from slam_bof.errors import FrameWarning
 from slam_bof.geometry import AXES, se3, write_tum
-from slam_bof.slam import find_odometry_doubts
-from slam_bof.types import LOST, Array, FramePose, Trajectory
+from slam_bof.slam import LoopCloser, find_odometry_doubts
+from slam_bof.types import LOST, Array, DepthFrame, FramePose, Pose, Trajectory
 
 N_FRAMES = 300
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
@@ -99,3 +101,23 @@ def test_the_commands_name_it(tmp_path: Path, write_turn: Callable[..., None]) -
     )
     assert run.exit_code == 0, run.output
     assert "warning: odometry turns otherwise than depth shows" in run.stderr
+
+
+def test_who_calls_finish_is_warned(turned_walk: list[tuple[DepthFrame, Pose]]) -> None:
+    closer = LoopCloser.from_preset()
+    for frame, T_odom_base in turned_walk:
+        closer.process(frame, T_odom_base)
+    with pytest.warns(FrameWarning, match="it would fit as axes x forward") as said:
+        closer.finish()
+    assert said[0].filename == __file__
+
+
+@pytest.fixture
+def turned_walk(look: Look, standpoint: tuple[float, float]) -> list[tuple[DepthFrame, Pose]]:
+    """Frames of a camera that looks around, and the poses of a base with ROS's axes."""
+    level = se3.pose(np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), [*standpoint, 1.3])
+    t = np.arange(60)
+    turns = np.stack([0.15 * np.sin(0.3 * t), 0.06 * t, 0.15 * np.cos(0.4 * t)], axis=1)
+    poses = level @ se3.exp(np.hstack([turns, np.zeros((60, 3))]))
+    bases = with_axes(poses, "ros")
+    return [(look(T, k), T_base) for k, (T, T_base) in enumerate(zip(poses, bases, strict=True))]
