@@ -149,8 +149,14 @@ class OdometryNoise:
             del self._neighbours[other][keyframe_id]
             del self._edges[min(other, keyframe_id), max(other, keyframe_id)]
 
-    def relative_sigmas(self) -> Array | None:
+    def relative_sigmas(self, share: Array | float = 1.0) -> Array | None:
         """Return the standard deviation of a step of odometry, as a multiple of that of an edge.
+
+        Parameters
+        ----------
+        share
+            (2,) of rotation and of translation: the share of the differences between odometry and
+            edges that is known to be odometry's.
 
         Returns
         -------
@@ -159,6 +165,7 @@ class OdometryNoise:
         step = self.step_sigmas()
         if step is None:
             return None
+        step = share * step
         has_long = len(self._off_long) >= MIN_LONG
         least = MIN_RELATIVE_SIGMA_LONG if has_long else MIN_RELATIVE_SIGMA
         return np.asarray(np.maximum(np.maximum(step, least), self._drift_sigmas))
@@ -168,7 +175,12 @@ class OdometryNoise:
         return None if self.is_given else self._step_sigmas
 
     def usual_step(self) -> Array:
-        """Return by how much (2,) odometry usually differs from an edge of one step, rad and m."""
+        """Return by how much (2,) odometry usually differs from an edge of one step, rad and m.
+
+        It is infinite as long as there is no such edge.
+        """
+        if not self._off_steps:
+            return np.full(2, np.inf)
         return np.asarray(np.sqrt(np.median(list(self._off_steps), axis=0)))
 
     @property

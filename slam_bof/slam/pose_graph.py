@@ -15,7 +15,7 @@ from slam_bof.slam.components import MapComponents
 from slam_bof.slam.graph_paths import Links
 from slam_bof.slam.loop_log import LoopLog
 from slam_bof.slam.map_uncertainty import MapUncertainty
-from slam_bof.slam.odometry_noise import MIN_RELATIVE_SIGMA_LONG
+from slam_bof.slam.odometry_noise import MIN_RELATIVE_SIGMA_LONG, OdometryNoise
 from slam_bof.types import Array, Keyframe, Loop
 
 __all__ = ["MapGraph"]
@@ -221,9 +221,9 @@ class MapGraph:
             if not ids:
                 continue
             tracked = np.array([keyframes[k].T_odom_camera for k in ids])
-            sigmas = noise.relative_sigmas()
+            by_odometry = np.array([noise.T_odom_camera[k] for k in ids])
+            sigmas = noise.relative_sigmas(_share_of_odometry(by_odometry, tracked, noise))
             if sigmas is not None:
-                by_odometry = np.array([noise.T_odom_camera[k] for k in ids])
                 is_precise = sigmas.max() <= PRECISE
                 # What is no more precise than edges drifts to one side rather than to and fro.
                 sigmas = sigmas * np.maximum(sigmas / PRECISE, 1.0)
@@ -250,14 +250,31 @@ class MapGraph:
         self._refresh()
 
 
+def _share_of_odometry(by_odometry: Array, tracked: Array, noise: OdometryNoise) -> Array:
+    """Return the share (2,) of the differences between odometry and edges that is odometry's.
+
+    For rotation and for translation. Tracking weighs odometry against alignment frame by frame, and
+    so by many more differences than there are edges: its steps differ from odometry's by as much as
+    it has put down to odometry.
+    """
+    off = _step_differences(by_odometry, tracked)[1]
+    usual = np.median(np.linalg.norm(off.reshape(-1, 2, 3), axis=2), axis=0)
+    return np.asarray(np.minimum(usual / np.maximum(noise.usual_step(), 1e-12), 1.0))
+
+
+def _step_differences(track: Array, other: Array) -> tuple[Array, Array]:
+    """Return the steps of a track (K, 4, 4), and their differences (K - 1, 6) from another's."""
+    steps, others = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (track, other))
+    return steps, se3.log(se3.inverse(steps) @ others)
+
+
 def _weighted_track(by_odometry: Array, tracked: Array, share: Array, slip: Array) -> Array:
     """Return poses (K, 4, 4) whose steps are means of those of two tracks (K, 4, 4).
 
     ``share`` (2,) is the weight of the second, for rotation and for translation. Where they differ
     by more than ``slip`` (2,), in rad and m, the second counts alone.
     """
-    steps, others = (se3.inverse(poses[:-1]) @ poses[1:] for poses in (by_odometry, tracked))
-    off = se3.log(se3.inverse(steps) @ others)
+    steps, off = _step_differences(by_odometry, tracked)
     slips = (np.linalg.norm(off.reshape(-1, 2, 3), axis=2) > slip).any(axis=1)
     weights = np.where(slips[:, None], 1.0, share).repeat(3, axis=1)
     steps = steps @ se3.exp(weights * off)
