@@ -19,6 +19,7 @@ from slam_bof.core import read_text
 from slam_bof.errors import RunError
 from slam_bof.geometry import read_tum
 from slam_bof.run.health import read_health
+from slam_bof.run.logging_observer import read_warnings
 from slam_bof.run.pictures import picture_pairs
 from slam_bof.run.plan import read_plans
 from slam_bof.slam import of_session
@@ -168,6 +169,7 @@ def read_run(folder: Path) -> ReportData:
                 store, of_session(store.candidates(), ids), figures.get("session", 0)
             ),
             health=read_health(folder / "health.csv"),
+            warnings=read_warnings(folder / "run.log"),
             command=rerun_command(folder, store),
             configuration=_read_if_there(folder / "config.yaml"),
         )

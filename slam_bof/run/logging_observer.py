@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import logging
+import re
+from pathlib import Path
 
 from slam_bof.ports import Observer
 from slam_bof.run.health import HealthLog
 from slam_bof.types import Step
 
-__all__ = ["LoggingObserver"]
+__all__ = ["LoggingObserver", "read_warnings"]
 
 logger = logging.getLogger(__name__)
+
+OF_FRAMES = re.compile(r"frame \d+: odometry (lost|recovered)")
 
 
 class LoggingObserver:
@@ -47,3 +51,16 @@ class LoggingObserver:
         """Log the warning and inform the other observer."""
         logger.warning(message)
         self._observer.on_warning(message)
+
+
+def read_warnings(log: Path) -> list[str]:
+    """Return the warnings of a run from its log, each once, but for where odometry was lost.
+
+    There are none if there is no such file.
+    """
+    if not log.is_file():
+        return []
+    mark = f" WARNING {logger.name}: "
+    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
+    found = dict.fromkeys(line.split(mark, 1)[1] for line in lines if mark in line)
+    return [warning for warning in found if not OF_FRAMES.fullmatch(warning)]

@@ -17,6 +17,7 @@ from slam_bof.geometry import write_kitti, write_tum
 from slam_bof.maps import write_sequence_cloud
 from slam_bof.run.folder import rerun_command
 from slam_bof.run.health import write_health
+from slam_bof.run.logging_observer import read_warnings
 from slam_bof.run.metrics import Metrics
 from slam_bof.run.pictures import picture_pairs
 from slam_bof.run.plan import read_plans
@@ -140,6 +141,7 @@ def _report_data(
         plans=read_plans(store),
         pairs=picture_pairs(store, record.candidates, record.closer.map.session),
         health=record.health,
+        warnings=read_warnings(folder / "run.log"),
         command=rerun_command(folder, store),
         configuration=(folder / "config.yaml").read_text(encoding="utf-8"),
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from html import escape
 from string import Template
 from typing import Any
@@ -84,6 +84,11 @@ def section(heading: str, text: str, *figures: str) -> str:
         f"<section><h2>{escape(heading)}</h2><p>{escape(text)}</p>"
         f'<div class="figures columns-{len(figures)}">{cells}</div></section>\n'
     )
+
+
+def listed(items: Iterable[str]) -> str:
+    """Return a list of texts."""
+    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 
 
 def details(summary: str, text: str) -> str:

@@ -60,6 +60,8 @@ class ReportData:
         Plans of the largest components of the map that the session belongs to.
     health
         Of every frame; empty if it is not known.
+    warnings
+        What the run has warned of.
     pairs
         Some of the candidates, to be shown as pictures.
     command, configuration
@@ -77,6 +79,7 @@ class ReportData:
     plans: Sequence[Plan] = ()
     components: Sequence[int] = ()
     health: Sequence[FrameHealth] = ()
+    warnings: Sequence[str] = ()
     pairs: Sequence[PicturedPair] = ()
     command: str = ""
     configuration: str = ""

@@ -32,6 +32,8 @@ from slam_bof.visualization.report_paths import (
 
 __all__ = ["write_report"]
 
+MAX_WARNINGS = 20
+"""Number of warnings that the report shows."""
 N_REASONS = 15
 """Number of reasons that the report counts."""
 
@@ -66,6 +68,8 @@ def _subtitle(data: ReportData) -> str:
 
 def _sections(data: ReportData) -> Iterator[str]:
     truth = truth_by_frame(data)
+    if data.warnings:
+        yield _warning_section(data.warnings)
     if data.plans:
         yield _plan_section(data)
     yield _trajectory_section(data, truth)
@@ -98,6 +102,13 @@ def _sections(data: ReportData) -> Iterator[str]:
             "The same command and configuration give the same bytes.",
             page.details(data.command or "The configuration", data.configuration),
         )
+
+
+def _warning_section(warnings: Sequence[str]) -> str:
+    left_out = len(warnings) - MAX_WARNINGS
+    text = "What the run has warned of"
+    text += f"; {left_out} more are in run.log." if left_out > 0 else "."
+    return page.section("Warnings", text, page.listed(warnings[:MAX_WARNINGS]))
 
 
 def _plan_section(data: ReportData) -> str:

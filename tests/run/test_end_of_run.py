@@ -60,10 +60,14 @@ def test_depth_in_another_unit_is_the_reason_for_lost_frames(monkeypatch, tmp_pa
         return replace(found, depth=found.depth.astype(np.float32) / 100)
 
     monkeypatch.setattr(BoxRoom, "frame", in_tenths_of_a_millimetre)
-    log = (run(tmp_path) / "run.log").read_text()
+    folder = run(tmp_path)
+    log = (folder / "run.log").read_text()
     assert "divided by 10 (units of 0.1 mm, as of RealSense D405)" in log
     assert "20 of 20 frames are lost: probably for the reason that the warning at the start" in log
     assert "too little depth" not in log
+    page = (folder / "report.html").read_text()
+    assert "(units of 0.1 mm, as of RealSense D405)" in page[page.index("<h2>Warnings</h2>") :]
+    assert "odometry lost</li>" not in page
 
 
 def test_labels_that_are_no_numbers_are_no_labels(monkeypatch, tmp_path):

@@ -217,6 +217,14 @@ def plan_image(html: str) -> NDArray[np.uint8]:
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
+def test_warnings_come_first(tmp_path: Path, data: ReportData) -> None:
+    assert "Warnings" not in headings(write(tmp_path, data))
+    html = write(tmp_path, replace(data, warnings=["<odd> depth", *map(str, range(24))]))
+    assert headings(html)[0] == "Warnings"
+    assert "<li>&lt;odd&gt; depth</li><li>0</li>" in html
+    assert "5 more are in run.log" in html
+
+
 def test_health_is_drawn_over_time(tmp_path: Path, data: ReportData) -> None:
     health = [FrameHealth("tracked", 0)] * 20 + [FrameHealth("degenerate", 2)] * 15
     health += [FrameHealth("lost", 0)] * 5
