@@ -271,13 +271,13 @@ class LevelledClassifier:
         )
 
     def label_features(self, features: LevelledFeatures) -> Scene:
-        """Return the scene by the features of a frame; the mean over both heights, if two may be.
+        """Return the scene by the features of a frame, and by both heights if two may be.
 
         A label that hangs on where the floor is assumed is thus not certain.
         """
         probabilities = self._probabilities(features)
         if features.otherwise is not None:
-            probabilities = (probabilities + self._probabilities(features.otherwise)) / 2
+            probabilities = _agreed(probabilities, self._probabilities(features.otherwise))
         best = int(probabilities.argmax())
         classes = tuple(str(label) for label in self.network.classes_)
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
@@ -286,6 +286,18 @@ class LevelledClassifier:
         logits = self.network.logits(self.feature_vector(features)[None])[0].astype(np.float64)
         factor = self.warming.factors(features.profile[None])[0]
         return np.asarray(softmax(logits / (self.network.temperature_ * factor)))
+
+
+def _agreed(first: Array, second: Array) -> Array:
+    """Return the probabilities (C,) that two assumptions agree on; what is left says nothing.
+
+    The geometric mean sums to the Bhattacharyya coefficient, 1 if both are equal and 0 if they have
+    no class in common. The remainder goes to all classes equally. An arithmetic mean would be wrong
+    for views in a row, which all have the same camera: what one assumption says of each of them
+    would be multiplied as if the other had been refuted.
+    """
+    both = np.sqrt(first * second)
+    return np.asarray(both + max(1.0 - both.sum(), 0.0) / len(both))
 
 
 def _learn_words(features: Sequence[LevelledFeatures], n_words: int, seed: int) -> Vocabulary:
