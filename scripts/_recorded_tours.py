@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from slam_bof.core import registry
 from slam_bof.evaluation import MAX_DOUBTFUL, calibration_error
 from slam_bof.scenes import (
+    FurnitureNetwork,
     LevelledClassifier,
     LevelledFeatures,
     SceneFilter,
@@ -87,8 +88,10 @@ def tour_config() -> Config:
     return configs.override(configs.preset("indoor"), ["loops.min_scene_agreement=0"])
 
 
-def record_tour(path: Path, config: Config) -> RecordedTour:
-    """Run a sequence, and describe its keyframes as the run does."""
+def record_tour(
+    path: Path, config: Config, furniture: FurnitureNetwork | None = None
+) -> RecordedTour:
+    """Run a sequence, and describe its keyframes as the run does, with a model's furniture."""
     dataset = registry.open_dataset(path)
     closer = LoopCloser.from_config(config)
     odometry = registry.build("odometry", config.odometry.name, config.odometry.options)
@@ -98,7 +101,9 @@ def record_tour(path: Path, config: Config) -> RecordedTour:
     for keyframe in keyframes:
         frame = dataset.frame(int(result.indices[keyframe.frame_index])).corrected(config.sensor)
         gravity_camera = keyframe.T_odom_camera[:3, :3].T @ np.array(config.gravity_odom)
-        features.append(levelled_features(frame, gravity_camera=gravity_camera))
+        features.append(
+            levelled_features(frame, gravity_camera=gravity_camera, furniture=furniture)
+        )
     return RecordedTour(keyframes, features, closer.map.poses(), closer.map.components)
 
 

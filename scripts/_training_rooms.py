@@ -29,6 +29,7 @@ from slam_bof.datasets import read_image_table
 from slam_bof.errors import DatasetError
 from slam_bof.scenes import (
     UNKNOWN_LABEL,
+    FurnitureNetwork,
     LevelledClassifier,
     LevelledFeatures,
     levelled_features,
@@ -72,7 +73,7 @@ class Rooms:
     """Features of N views: ``scenes`` (N,) as recorded, ``groups`` (N,), the rooms.
 
     ``copies`` (N,) has the features by other sensors; ``origins`` (N,) are ``REAL``, ``MESSY`` or
-    ``TIDY``, of which flats are too.
+    ``TIDY``, of which flats are too. ``furniture`` is the network that features are from.
     """
 
     features: list[LevelledFeatures]
@@ -80,6 +81,7 @@ class Rooms:
     scenes: list[str]
     groups: list[str]
     origins: NDArray[np.intp]
+    furniture: FurnitureNetwork | None = None
 
     @property
     def is_real(self) -> NDArray[np.bool_]:
@@ -89,7 +91,8 @@ class Rooms:
     def select(self, kept: NDArray[np.bool_]) -> Rooms:
         """Return some of the views."""
         parts = (self.features, self.copies, self.scenes, self.groups)
-        return Rooms(*(list(compress(part, kept)) for part in parts), self.origins[kept])
+        kept_parts = (list(compress(part, kept)) for part in parts)
+        return Rooms(*kept_parts, self.origins[kept], self.furniture)
 
     def labels(self) -> list[str]:
         """Return the class of each view, ``unknown`` where its scene is none."""
@@ -114,6 +117,7 @@ class Rooms:
             unknown=unknown.features,
             unknown_weights=unknown.weights(),
             network=room_network(seed),
+            furniture=self.furniture,
             seed=seed,
         )
 
@@ -136,15 +140,16 @@ def collect(
     n_copies: int,
     seed: int,
     rendered: RenderedViews,
+    furniture: FurnitureNetwork,
 ) -> Rooms:
     """Describe all views: ``n_frames`` of each sequence, ``n_views`` of each synthetic room.
 
     ``n_messy`` and ``n_tidy`` are the numbers of synthetic rooms of each kind.
     """
     parts = (
-        real_rooms(data, n_frames, n_copies, seed),
-        messy_rooms(rendered, n_messy, n_views, seed),
-        tidy_rooms(rendered, n_tidy, n_views),
+        real_rooms(data, n_frames, n_copies, seed, furniture),
+        messy_rooms(rendered, n_messy, n_views, seed, furniture),
+        tidy_rooms(rendered, n_tidy, n_views, furniture),
     )
     return join(parts)
 
@@ -157,55 +162,68 @@ def join(parts: Sequence[Rooms]) -> Rooms:
         [scene for part in parts for scene in part.scenes],
         [group for part in parts for group in part.groups],
         np.concatenate([part.origins for part in parts]),
+        parts[0].furniture,
     )
 
 
-def real_rooms(data: Path, n_frames: int, n_copies: int, seed: int) -> Rooms:
+def _no_rooms(furniture: FurnitureNetwork | None) -> Rooms:
+    return Rooms([], [], [], [], np.zeros(0, np.intp), furniture)
+
+
+def real_rooms(
+    data: Path, n_frames: int, n_copies: int, seed: int, furniture: FurnitureNetwork
+) -> Rooms:
     """Describe single images, and ``n_frames`` of each sequence."""
     rng = np.random.default_rng(seed)
-    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    rooms = _no_rooms(furniture)
     views = list(_images(data)) + list(_frames(data, n_frames))
     for frame, down, scene, room in _track(views, "Real rooms"):
-        rooms.features.append(levelled_features(frame, gravity_camera=down))
-        rooms.copies.append([_copy(frame, down, rng) for _ in range(n_copies)])
+        rooms.features.append(levelled_features(frame, gravity_camera=down, furniture=furniture))
+        rooms.copies.append([_copy(frame, down, rng, furniture) for _ in range(n_copies)])
         rooms.scenes.append(scene)
         rooms.groups.append(room)
     return replace(rooms, origins=np.full(len(views), REAL))
 
 
-def messy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int, seed: int) -> Rooms:
+def messy_rooms(
+    rendered: RenderedViews, n_rooms: int, n_views: int, seed: int, furniture: FurnitureNetwork
+) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` messy rooms of each kind."""
     rng = np.random.default_rng([seed, MESSY])
-    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    rooms = _no_rooms(furniture)
     for number in _track(range(MESSY_SEED, MESSY_SEED + n_rooms), "Messy rooms"):
         for kind in ROOM_KINDS:
             for frame, down in rendered.messy(kind, number, n_views):
-                rooms.features.append(_copy(frame, down, rng))
+                rooms.features.append(_copy(frame, down, rng, furniture))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
     n = len(rooms.features)
     return replace(rooms, copies=[[]] * n, origins=np.full(n, MESSY))
 
 
-def tidy_rooms(rendered: RenderedViews, n_rooms: int, n_views: int) -> Rooms:
+def tidy_rooms(
+    rendered: RenderedViews, n_rooms: int, n_views: int, furniture: FurnitureNetwork
+) -> Rooms:
     """Describe ``n_views`` of each of ``n_rooms`` tidy rooms of each kind that has some."""
-    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    rooms = _no_rooms(furniture)
     for number in _track(range(TIDY_SEED, TIDY_SEED + n_rooms), "Tidy rooms"):
         for kind in FIRST_KINDS:
             for frame, _ in rendered.tidy(kind, number, n_views):
-                rooms.features.append(levelled_features(frame))
+                rooms.features.append(levelled_features(frame, furniture=furniture))
                 rooms.scenes.append(kind)
                 rooms.groups.append(f"{kind} {number}")
     n = len(rooms.features)
     return replace(rooms, copies=[[]] * n, origins=np.full(n, TIDY))
 
 
-def flats(rendered: RenderedViews, n_flats: int, n_views: int) -> Rooms:
+def flats(
+    rendered: RenderedViews, n_flats: int, n_views: int, furniture: FurnitureNetwork
+) -> Rooms:
     """Describe ``n_views`` along the tour of each of ``n_flats`` flats."""
-    rooms = Rooms([], [], [], [], np.zeros(0, np.intp))
+    rooms = _no_rooms(furniture)
     for number in _track(range(TIDY_SEED, TIDY_SEED + n_flats), "Flats"):
         for frame, kind in rendered.tour(number, n_views):
-            rooms.features.append(levelled_features(frame))
+            rooms.features.append(levelled_features(frame, furniture=furniture))
             rooms.scenes.append(kind)
             rooms.groups.append(f"flat {number}")
     n = len(rooms.features)
@@ -217,9 +235,14 @@ def _track(items: Sequence[T], what: str) -> Iterable[T]:
     return track(items, what, console=Console(stderr=True))
 
 
-def _copy(frame: DepthFrame, down: Array | None, rng: np.random.Generator) -> LevelledFeatures:
+def _copy(
+    frame: DepthFrame,
+    down: Array | None,
+    rng: np.random.Generator,
+    furniture: FurnitureNetwork,
+) -> LevelledFeatures:
     measured, down = remeasure(frame, rng, down)
-    return levelled_features(measured, gravity_camera=down)
+    return levelled_features(measured, gravity_camera=down, furniture=furniture)
 
 
 def _images(data: Path) -> Iterator[View]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from slam_bof.evaluation.cost import Cost
 from slam_bof.scenes import (
     N_WORDS,
     ConstellationClassifier,
+    FurnitureNetwork,
     LevelledClassifier,
     LevelledFeatures,
     SceneClassifier,
@@ -26,6 +28,7 @@ from slam_bof.scenes import (
     bof_tokens,
     import_torch,
     levelled_features,
+    model as models,
     room_network,
     turned_tokens,
 )
@@ -36,11 +39,12 @@ __all__ = ["GROUP_METHODS", "GroupMethod", "make_group_method"]
 Bag = NDArray[np.float32]
 
 GROUP_METHODS = (
-    "ours", "words", "profile+words", "tokens", "profile+tokens", "transformer",
+    "ours", "profile", "words", "profile+words", "tokens", "profile+tokens", "transformer",
     "profile+transformer", "bag:linear", "bag:rbf",
 )  # fmt: skip
-"""Methods by name. ``ours`` is the height profile, as ``train`` learns it; ``words`` are those of
-shapes in level slices, which models of earlier versions have beside it;
+"""Methods by name. ``ours`` is the height profile and what furniture is seen, as ``train`` learns
+them; ``profile`` is the height profile alone; ``words`` are those of shapes in level slices, which
+models of earlier versions have beside it;
 ``tokens`` is a histogram of the kinds of placed BOFs, ``transformer`` attends to the set of them
 (``--constellation`` of ``train`` is ``profile+transformer``); ``bag`` is the paper's bag of words
 with a support vector machine."""
@@ -72,6 +76,10 @@ def make_group_method(name: str, n_words: int, seed: int) -> GroupMethod:
     """
     match name:
         case "ours":
+            network = models.included_furniture()
+            describe = partial(_profile_and_furniture, furniture=network)
+            return GroupMethod(name, describe, _fit_levelled(seed, furniture=network))
+        case "profile":
             return GroupMethod(name, _profile_only, _fit_levelled(seed))
         case "words":
             return GroupMethod(name, _words_only, _fit_levelled(seed, N_WORDS))
@@ -95,6 +103,12 @@ def make_group_method(name: str, n_words: int, seed: int) -> GroupMethod:
 
 def _profile_only(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
     return levelled_features(frame, gravity_camera=down)
+
+
+def _profile_and_furniture(
+    frame: DepthFrame, down: Array | None, furniture: FurnitureNetwork
+) -> LevelledFeatures:
+    return levelled_features(frame, gravity_camera=down, furniture=furniture)
 
 
 def _profile_and_words(frame: DepthFrame, down: Array | None) -> LevelledFeatures:
@@ -137,7 +151,9 @@ def _predictor(classifier: LevelledClassifier | ConstellationClassifier) -> _Pre
     return predict, sum(array.nbytes for array in classifier.arrays().values())
 
 
-def _fit_levelled(seed: int, n_words: int = 0) -> Callable[..., _Predictor]:
+def _fit_levelled(
+    seed: int, n_words: int = 0, furniture: FurnitureNetwork | None = None
+) -> Callable[..., _Predictor]:
     def fit(
         features: list[LevelledFeatures],
         copies: list[list[LevelledFeatures]],
@@ -152,6 +168,7 @@ def _fit_levelled(seed: int, n_words: int = 0) -> Callable[..., _Predictor]:
             n_words=n_words,
             weights=np.ones(len(labels)),
             network=room_network(seed),
+            furniture=furniture,
             seed=seed,
         )
         return _predictor(classifier)

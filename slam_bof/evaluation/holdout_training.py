@@ -18,6 +18,7 @@ from slam_bof.ports import Dataset
 from slam_bof.scenes import (
     ClassifierName,
     FrameDescriptors,
+    FurnitureNetwork,
     Model,
     SceneClassifier,
     SvmParams,
@@ -27,6 +28,7 @@ from slam_bof.scenes import (
     describe_frames,
     fit_model,
     make_folds,
+    model as models,
     search_svm,
     train_model,
 )
@@ -62,6 +64,14 @@ def _has_shape_words(model: Model | None) -> bool:
     """Return whether a model labels by shape words too, as those of earlier versions may."""
     classifier = None if model is None else model.levelled_classifier
     return classifier is not None and classifier.vocabulary is not None
+
+
+def _furniture(start: Model | None) -> FurnitureNetwork | None:
+    """Return the network of a model's levelled classifier, or that of the included models."""
+    if start is None:
+        return models.included_furniture()
+    classifier = start.levelled_classifier
+    return None if classifier is None else classifier.furniture
 
 
 def train_scene_model(
@@ -138,6 +148,7 @@ def train_scene_model(
         levelled=levelled,
         with_tokens=constellation,
         with_shapes=_has_shape_words(start),
+        furniture=_furniture(start) if levelled else None,
         n_copies=n_copies,
         seed=seed,
         n_jobs=n_jobs,

@@ -113,6 +113,7 @@ class ModelMethod:
                     seed=self.seed,
                     trained_on="a comparison",
                     levelled=self.levelled,
+                    furniture=models.included_furniture() if self.levelled else None,
                 )
         except ValueError as error:
             raise DatasetError(f"cannot be trained: {error}") from error

@@ -1,6 +1,7 @@
 from . import model as model
 from .augmentation import (
     remeasure as remeasure,
+    remeasure_labelled as remeasure_labelled,
 )
 from .bag_classifier import (
     SceneClassifier as SceneClassifier,
@@ -24,6 +25,19 @@ from .folds import (
     frame_groups as frame_groups,
     make_folds as make_folds,
 )
+from .frame_features import (
+    LevelledFeatures as LevelledFeatures,
+    levelled_features as levelled_features,
+)
+from .furniture_network import (
+    FurnitureNetwork as FurnitureNetwork,
+)
+from .furniture_training import (
+    FurnitureTraining as FurnitureTraining,
+    FurnitureView as FurnitureView,
+    fit_furniture as fit_furniture,
+    furniture_view as furniture_view,
+)
 from .hmm_filter import (
     UNKNOWN_LABEL as UNKNOWN_LABEL,
     SceneFilter as SceneFilter,
@@ -36,8 +50,6 @@ from .labeller import (
 from .levelled_classifier import (
     N_WORDS as N_WORDS,
     LevelledClassifier as LevelledClassifier,
-    LevelledFeatures as LevelledFeatures,
-    levelled_features as levelled_features,
     room_network as room_network,
 )
 from .map_labels import (

@@ -18,7 +18,7 @@ from scipy.special import ndtri
 
 from slam_bof.types import Array, DepthFrame, Intrinsics
 
-__all__ = ["remeasure"]
+__all__ = ["remeasure", "remeasure_labelled"]
 
 Depth = NDArray[np.float32]
 
@@ -42,12 +42,31 @@ def remeasure(
     The frame has float metres, about ``WIDTH_PX`` columns before it is cut, and intrinsics of its
     own. ``gravity_camera`` (3,) is the direction of gravity, if known.
     """
+    labels = np.zeros((frame.intrinsics.height, frame.intrinsics.width), np.uint8)
+    measured, gravity_camera, _ = remeasure_labelled(frame, labels, rng, gravity_camera)
+    return measured, gravity_camera
+
+
+def remeasure_labelled(
+    frame: DepthFrame,
+    labels: NDArray[np.uint8],
+    rng: np.random.Generator,
+    gravity_camera: Array | None = None,
+) -> tuple[DepthFrame, Array | None, NDArray[np.uint8]]:
+    """Return what ``remeasure`` returns, and the labels of its pixels.
+
+    ``labels`` has one for each pixel of the frame, and the result one for each of its.
+    """
     stride = max(1, frame.intrinsics.width // WIDTH_PX)
     depth = frame.depth_m(stride).astype(np.float32)
     camera = _strided(frame.intrinsics, depth.shape, stride)
-    depth, camera = _cut(depth, camera, rng)
+    top, left, height, width = _window(depth.shape, rng)
+    window = np.s_[top : top + height, left : left + width]
+    depth, labels = depth[window].copy(), labels[::stride, ::stride][window]
+    camera = replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
     if rng.random() < 0.5:
         depth = np.ascontiguousarray(depth[:, ::-1])
+        labels = labels[:, ::-1]
         camera = replace(camera, cx=camera.width - 1 - camera.cx)
         if gravity_camera is not None:
             gravity_camera = gravity_camera * (-1.0, 1.0, 1.0)
@@ -55,7 +74,7 @@ def remeasure(
     measured = _measure(depth, rng)
     measured[_lost(depth, rng)] = 0.0
     measured[measured > rng.uniform(*MAX_RANGE_M)] = 0.0
-    return DepthFrame(frame.stamp_s, measured, camera), gravity_camera
+    return DepthFrame(frame.stamp_s, measured, camera), gravity_camera, labels
 
 
 def _strided(camera: Intrinsics, shape: tuple[int, ...], stride: int) -> Intrinsics:
@@ -64,16 +83,13 @@ def _strided(camera: Intrinsics, shape: tuple[int, ...], stride: int) -> Intrins
     return Intrinsics(width, height, *(value / stride for value in focal_and_center))
 
 
-def _cut(depth: Depth, camera: Intrinsics, rng: np.random.Generator) -> tuple[Depth, Intrinsics]:
-    """Cut a window out of the image, anywhere."""
-    size = np.array(depth.shape)
+def _window(shape: tuple[int, ...], rng: np.random.Generator) -> tuple[int, int, int, int]:
+    """Draw a window of an image: top, left, height and width in pixels."""
+    size = np.array(shape)
     kept = np.round(size * rng.uniform(MIN_CROP, 1.0, 2)).astype(int)
     top, left = rng.integers(0, size - kept + 1).tolist()
     height, width = kept.tolist()
-    window = depth[top : top + height, left : left + width].copy()
-    return window, Intrinsics(
-        width, height, camera.fx, camera.fy, camera.cx - left, camera.cy - top
-    )
+    return top, left, height, width
 
 
 def _measure(depth: Depth, rng: np.random.Generator) -> Depth:

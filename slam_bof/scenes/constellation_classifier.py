@@ -14,13 +14,9 @@ from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.classifiers import check_class_counts
 from slam_bof.scenes.contour_tokens import N_TOKEN_VALUES, contour_tokens
 from slam_bof.scenes.folds import make_folds
+from slam_bof.scenes.frame_features import LevelledFeatures
 from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
-from slam_bof.scenes.levelled_classifier import (
-    MIN_TEMPERATURE,
-    LevelledFeatures,
-    sample_weights,
-    with_copies,
-)
+from slam_bof.scenes.levelled_classifier import MIN_TEMPERATURE, sample_weights, with_copies
 from slam_bof.scenes.levelled_cloud import levelled_cloud
 from slam_bof.scenes.set_transformer import SetTransformer, TransformerShape
 from slam_bof.scenes.set_transformer_training import (

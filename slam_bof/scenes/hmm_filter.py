@@ -92,7 +92,7 @@ class SceneFilterParams(Params):
         "place, in metres.",
     )
     min_probability: float = Field(
-        0.5,
+        0.6,
         ge=0,
         le=1,
         description="Least probability of a label; a less probable one becomes 'unknown'.",

@@ -1,4 +1,4 @@
-"""Scene labels from levelled point clouds: height profile, maybe shape words, a small network."""
+"""Scene labels from levelled point clouds: height profile, what furniture is seen, a network."""
 
 from __future__ import annotations
 
@@ -14,18 +14,16 @@ from slam_bof.bof import Vocabulary
 from slam_bof.core import one_native_thread
 from slam_bof.scenes.certainty import NO_WARMING, Warming, fit_certainty
 from slam_bof.scenes.continued_training import continue_network
-from slam_bof.scenes.contour_tokens import contour_tokens
-from slam_bof.scenes.height_profile import N_PROFILE_VALUES, measure_profile
-from slam_bof.scenes.levelled_cloud import LevelledCloud, levelled_cloud
+from slam_bof.scenes.frame_features import LevelledFeatures, levelled_features
+from slam_bof.scenes.furniture_network import FurnitureNetwork
+from slam_bof.scenes.height_profile import N_PROFILE_VALUES
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
-from slam_bof.scenes.shape_words import N_SHAPE_VALUES, shape_descriptors
+from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 from slam_bof.types import Array, Bag, DepthFrame, Scene
 
 __all__ = [
     "N_WORDS",
     "LevelledClassifier",
-    "LevelledFeatures",
-    "levelled_features",
     "room_network",
     "sample_weights",
     "with_copies",
@@ -38,50 +36,9 @@ N_WORDS = 400
 """Number of shape words in models that have some."""
 MAX_SHAPES = 40_000
 """The vocabulary is learnt from at most this many shapes, drawn at random."""
+FURNITURE = "furniture_"
+"""What the names of a furniture network's arrays begin with."""
 NETWORK_ARRAYS = ("mean", "scale", "hidden", "hidden_bias", "out", "out_bias")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LevelledFeatures:
-    """Features of one frame.
-
-    ``profile`` (N_PROFILE_VALUES,) is the height profile, ``shapes`` (C, N_SHAPE_VALUES) has a
-    descriptor of each contour. ``otherwise`` are the features if the floor is where it may be
-    instead (``LevelledCloud.possible_height_m``). ``tokens`` (C, N_TOKEN_VALUES) are for a
-    classifier of constellations; None where there is none.
-    """
-
-    profile: NDArray[np.float32]
-    shapes: NDArray[np.float32]
-    otherwise: LevelledFeatures | None = None
-    tokens: NDArray[np.float32] | None = None
-
-
-def levelled_features(
-    frame: DepthFrame,
-    *,
-    gravity_camera: Array | None = None,
-    with_shapes: bool = False,
-    with_tokens: bool = False,
-) -> LevelledFeatures:
-    """Return the features of a frame; other parameters are those of ``levelled_cloud``.
-
-    Descriptors of shapes, for models that have words of them, cost more than all else.
-    """
-    cloud = levelled_cloud(frame, gravity_camera=gravity_camera)
-
-    def describe(cloud: LevelledCloud) -> LevelledFeatures:
-        none = np.empty((0, N_SHAPE_VALUES), np.float32)
-        return LevelledFeatures(
-            measure_profile(cloud), shape_descriptors(cloud) if with_shapes else none
-        )
-
-    otherwise = None
-    if cloud.possible_height_m is not None:
-        near = replace(cloud, camera_height_m=cloud.possible_height_m, floor_seen=True)
-        otherwise = describe(near)
-    tokens = contour_tokens(cloud) if with_tokens else None
-    return replace(describe(cloud), otherwise=otherwise, tokens=tokens)
 
 
 def room_network(seed: int = 0) -> MlpEnsemble:
@@ -95,13 +52,15 @@ def room_network(seed: int = 0) -> MlpEnsemble:
 class LevelledClassifier:
     """A ``Labeller`` by levelled features: a network on them, and a vocabulary of shapes, if any.
 
-    The network's input is the height profile and, with a vocabulary, the histogram of shape words.
-    The temperature of its logits is multiplied by the factor of ``warming`` for the view.
+    The network's input is the height profile, what the network ``furniture`` sees, if there is one,
+    and with a vocabulary the histogram of shape words. The temperature of its logits is multiplied
+    by the factor of ``warming`` for the view.
     """
 
     vocabulary: Vocabulary | None
     network: MlpEnsemble
     warming: Warming = NO_WARMING
+    furniture: FurnitureNetwork | None = None
 
     @classmethod
     @one_native_thread()  # so that the same frames give the same bytes
@@ -119,6 +78,7 @@ class LevelledClassifier:
         calibrate_on: NDArray[np.bool_] | None = None,
         unknown: Sequence[LevelledFeatures] = (),
         unknown_weights: ArrayLike | None = None,
+        furniture: FurnitureNetwork | None = None,
         seed: int = 0,
     ) -> Self:
         """Learn a network and, with ``n_words``, a vocabulary of shapes.
@@ -147,11 +107,13 @@ class LevelledClassifier:
         unknown, unknown_weights
             Features of frames that show none of the classes, and their weights. Their labels are to
             be as uncertain as possible.
+        furniture
+            The network that the features are from, which stays as it is.
         seed
             Seed of the vocabulary and of the default network.
         """
         vocabulary = _learn_words(features, n_words, seed) if n_words else None
-        classifier = cls(vocabulary, network or MlpEnsemble(seed=seed))
+        classifier = cls(vocabulary, network or MlpEnsemble(seed=seed), furniture=furniture)
         vectors, frame_of = classifier._feature_vectors(features, copies)
         y = np.asarray(labels)[frame_of]
         counted = np.ones(len(features), bool) if calibrate_on is None else calibrate_on
@@ -212,7 +174,11 @@ class LevelledClassifier:
         learnt = {name: getattr(self.network, f"{name}_") for name in NETWORK_ARRAYS}
         temperature = np.array(self.network.temperature_)
         words = {} if self.vocabulary is None else {"words": self.vocabulary.words_}
-        return {**words, "temperature": temperature, **learnt, **self.warming.arrays()}
+        seen = {} if self.furniture is None else self.furniture.arrays()
+        furniture = {f"{FURNITURE}{name}": array for name, array in seen.items()}
+        return {
+            **words, "temperature": temperature, **learnt, **self.warming.arrays(), **furniture
+        }  # fmt: skip
 
     @classmethod
     def from_arrays(cls, manifest: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> Self:
@@ -227,8 +193,14 @@ class LevelledClassifier:
         words = np.empty((0, N_SHAPE_VALUES), np.float32)
         if "vocabulary" in manifest:
             words = arrays["words"]
+        furniture, n_features = None, N_PROFILE_VALUES + len(words)
+        names = [name for name in arrays if name.startswith(FURNITURE)]
+        if names:
+            weights = {name.removeprefix(FURNITURE): arrays[name] for name in names}
+            furniture = FurnitureNetwork.from_arrays(weights)
+            n_features += furniture.n_values
         network = MlpEnsemble(**manifest["network"])
-        n_features, n_neurons = N_PROFILE_VALUES + len(words), network.n_networks * network.n_hidden
+        n_neurons = network.n_networks * network.n_hidden
         shapes = {
             "temperature": (),
             "mean": (n_features,),
@@ -255,7 +227,7 @@ class LevelledClassifier:
         vocabulary = None
         if "vocabulary" in manifest:
             vocabulary = Vocabulary.from_words(words, **manifest["vocabulary"])
-        return cls(vocabulary, network, Warming.from_arrays(arrays))
+        return cls(vocabulary, network, Warming.from_arrays(arrays), furniture)
 
     def _feature_vectors(
         self, features: Sequence[LevelledFeatures], copies: Sequence[Sequence[LevelledFeatures]]
@@ -265,13 +237,24 @@ class LevelledClassifier:
         return np.array([self.feature_vector(item) for item in everything]), frame_of
 
     def feature_vector(self, features: LevelledFeatures) -> NDArray[np.float32]:
-        """Return the network's input: the profile, and square roots of word frequencies, if any."""
+        """Return the network's input: the profile, furniture, and roots of word frequencies.
+
+        Raises
+        ------
+        ValueError
+            If the features lack what the furniture network sees.
+        """
+        parts = [features.profile]
+        if self.furniture is not None:
+            if features.furniture is None:
+                raise ValueError("found features without furniture, expected those of the network")
+            parts.append(features.furniture)
         if self.vocabulary is None:
-            return features.profile
+            return np.concatenate(parts)
         words = self.vocabulary.lookup(features.shapes)
         counts = np.bincount(words, minlength=self.vocabulary.n_words)
         frequencies = counts / max(len(words), 1)
-        return np.concatenate([features.profile, np.sqrt(frequencies)], dtype=np.float32)
+        return np.concatenate([*parts, np.sqrt(frequencies)], dtype=np.float32)
 
     def label(
         self, frame: DepthFrame, *, gravity_camera: Array | None = None, bag: Bag | None = None
@@ -279,17 +262,22 @@ class LevelledClassifier:
         """Return the scene that a frame shows; the bag is not used."""
         with_shapes = self.vocabulary is not None
         return self.label_features(
-            levelled_features(frame, gravity_camera=gravity_camera, with_shapes=with_shapes)
+            levelled_features(
+                frame,
+                gravity_camera=gravity_camera,
+                with_shapes=with_shapes,
+                furniture=self.furniture,
+            )
         )
 
     def label_features(self, features: LevelledFeatures) -> Scene:
-        """Return the scene by the features of a frame; the mean over both heights, if two may be.
+        """Return the scene by the features of a frame, and by both heights if two may be.
 
         A label that hangs on where the floor is assumed is thus not certain.
         """
         probabilities = self._probabilities(features)
         if features.otherwise is not None:
-            probabilities = (probabilities + self._probabilities(features.otherwise)) / 2
+            probabilities = _agreed(probabilities, self._probabilities(features.otherwise))
         best = int(probabilities.argmax())
         classes = tuple(str(label) for label in self.network.classes_)
         return Scene(classes[best], float(probabilities[best]), classes, probabilities)
@@ -298,6 +286,18 @@ class LevelledClassifier:
         logits = self.network.logits(self.feature_vector(features)[None])[0].astype(np.float64)
         factor = self.warming.factors(features.profile[None])[0]
         return np.asarray(softmax(logits / (self.network.temperature_ * factor)))
+
+
+def _agreed(first: Array, second: Array) -> Array:
+    """Return the probabilities (C,) that two assumptions agree on; what is left says nothing.
+
+    The geometric mean sums to the Bhattacharyya coefficient, 1 if both are equal and 0 if they have
+    no class in common. The remainder goes to all classes equally. An arithmetic mean would be wrong
+    for views in a row, which all have the same camera: what one assumption says of each of them
+    would be multiplied as if the other had been refuted.
+    """
+    both = np.sqrt(first * second)
+    return np.asarray(both + max(1.0 - both.sum(), 0.0) / len(both))
 
 
 def _learn_words(features: Sequence[LevelledFeatures], n_words: int, seed: int) -> Vocabulary:

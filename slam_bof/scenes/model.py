@@ -20,6 +20,7 @@ from slam_bof.bof import PlaceDescriber, PlaceParams, TfIdf, Vocabulary
 from slam_bof.errors import ModelError
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.constellation_classifier import ConstellationClassifier
+from slam_bof.scenes.furniture_network import FurnitureNetwork
 from slam_bof.scenes.height_profile import compile_profile
 from slam_bof.scenes.hmm_filter import LabelledBy
 from slam_bof.scenes.labeller import BagLabeller, Labeller
@@ -41,6 +42,7 @@ __all__ = [
     "FORMAT_VERSION",
     "Model",
     "has_words_of",
+    "included_furniture",
     "load",
     "name_by_hash",
     "resolve",
@@ -56,6 +58,7 @@ SUPERSEDED = {
     "16bb13fe419f3da0b40af09d1c1f9ae2841cf9bb2009f2b8f0ab41c77f08b09d": DEFAULT,
     "122169fe3ef2a18b7113932594d603cc95f08dc0ef9f653a9a1a39c7ec87190a": DEFAULT,
     "0c1e8a57e0a439139634bdb5c45f514a2cfb78251720af8bb72dd235e43aa1d0": DEFAULT,
+    "403bcc6f07672f834dab3acf8854441ef2079616095b7d08490e9b23eb37f552": DEFAULT,
     "daff55e72714452b1981776beeb732a6cf4f0ad4147297d1e25de5739b5dc689": "synthetic",
 }
 """Included models by the content hashes of earlier ones, which are included no more and have the
@@ -141,6 +144,20 @@ def resolve(name: str | Path | None = None) -> Model:
     if not file.is_file():
         raise ModelError(f"{file}: no such model file; scripts/train_default_model makes it")
     return _build(parse_content(file.read_bytes(), str(file)), str(file))
+
+
+def included_furniture() -> FurnitureNetwork:
+    """Return the furniture network of the default model, which others may learn from too.
+
+    Raises
+    ------
+    ModelError
+        If it has none.
+    """
+    classifier = resolve(DEFAULT).levelled_classifier
+    if classifier is None or classifier.furniture is None:
+        raise ModelError("the default model: found no furniture network, expected one")
+    return classifier.furniture
 
 
 def name_by_hash(name: str, content_hash: str | None) -> str:

@@ -18,12 +18,9 @@ from slam_bof.scenes.augmentation import remeasure
 from slam_bof.scenes.bag_classifier import SceneClassifier
 from slam_bof.scenes.constellation_classifier import ConstellationClassifier
 from slam_bof.scenes.folds import cut_segments
-from slam_bof.scenes.levelled_classifier import (
-    LevelledClassifier,
-    LevelledFeatures,
-    levelled_features,
-    room_network,
-)
+from slam_bof.scenes.frame_features import LevelledFeatures, levelled_features
+from slam_bof.scenes.furniture_network import FurnitureNetwork
+from slam_bof.scenes.levelled_classifier import LevelledClassifier, room_network
 from slam_bof.scenes.model import Model
 from slam_bof.scenes.set_transformer_training import TransformerTraining
 from slam_bof.types import Array, DepthFrame
@@ -61,7 +58,8 @@ class FrameDescriptors:
     ``values`` (M, n_values) stack the descriptors of all frames, ``counts`` (N,) is their number
     in each frame. ``labels`` and ``groups`` have one entry a frame, and so has ``levelled``, which
     is empty where no levelled classifier is trained. ``copies`` has the features of each frame as
-    other sensors would have measured it. ``are_rooms`` says whether groups are rooms.
+    other sensors would have measured it. ``are_rooms`` says whether groups are rooms, and
+    ``furniture`` is the network that levelled features are from, if any.
     """
 
     values: NDArray[np.float32]
@@ -71,6 +69,7 @@ class FrameDescriptors:
     levelled: tuple[LevelledFeatures, ...] = ()
     copies: tuple[tuple[LevelledFeatures, ...], ...] = ()
     are_rooms: bool = False
+    furniture: FurnitureNetwork | None = None
 
     def by_frame(self) -> list[NDArray[np.float32]]:
         """Return the descriptors of each of the N frames, (counts[k], n_values)."""
@@ -87,6 +86,7 @@ class FrameDescriptors:
             levelled=tuple(self.levelled[k] for k in frames) if self.levelled else (),
             copies=tuple(self.copies[k] for k in frames) if self.copies else (),
             are_rooms=self.are_rooms,
+            furniture=self.furniture,
         )
 
 
@@ -99,6 +99,7 @@ def train_model(
     trained_on: str,
     bag_classifier: SceneClassifier | None = None,
     levelled: bool = True,
+    furniture: FurnitureNetwork | None = None,
     n_jobs: int | None = 1,
     on_frame: Callable[[int], None] | None = None,
 ) -> Model:
@@ -120,12 +121,16 @@ def train_model(
         The classifier of bags to fit, by default a linear one with ``seed``.
     levelled
         Whether to train a levelled classifier too, which the model then prefers for its labels.
+    furniture
+        A furniture network for the levelled classifier, whose answers it then learns from too.
     n_jobs
         Number of frames described at a time; see ``describe_frames``.
     on_frame
         Called after each frame with the number of frames described so far.
     """
-    described = describe_frames(frames, params, levelled=levelled, n_jobs=n_jobs, on_frame=on_frame)
+    described = describe_frames(
+        frames, params, levelled=levelled, furniture=furniture, n_jobs=n_jobs, on_frame=on_frame
+    )
     return fit_model(
         described,
         params,
@@ -143,6 +148,7 @@ def describe_frames(
     levelled: bool = False,
     with_tokens: bool = False,
     with_shapes: bool = False,
+    furniture: FurnitureNetwork | None = None,
     n_copies: int = 0,
     seed: int = 0,
     n_jobs: int | None = 1,
@@ -151,7 +157,8 @@ def describe_frames(
     """Return the BOF descriptors of frames, and their levelled features where ``levelled``.
 
     ``with_tokens`` adds the tokens of a constellation classifier to these, and ``with_shapes``
-    what a levelled classifier with shape words needs to be continued.
+    what a levelled classifier with shape words needs to be continued; ``furniture`` is the network
+    of the classifier that they are for, if it has one.
 
     With ``n_copies`` there are levelled features of as many copies of each frame too, as other
     sensors, drawn by ``seed``, would have measured it. ``n_jobs`` frames are described at a time,
@@ -176,7 +183,12 @@ def describe_frames(
             views = [(item.frame, item.gravity_camera)]
             views += [remeasure(item.frame, rng, item.gravity_camera) for _ in range(n_copies)]
             yield joblib.delayed(_describe_frame)(
-                views, params, levelled=levelled, with_tokens=with_tokens, with_shapes=with_shapes
+                views,
+                params,
+                levelled=levelled,
+                with_tokens=with_tokens,
+                with_shapes=with_shapes,
+                furniture=furniture,
             )
 
     described = joblib.Parallel(n_jobs=n_jobs, return_as="generator")(jobs())
@@ -195,6 +207,7 @@ def describe_frames(
         levelled=tuple(features),
         copies=tuple(copies),
         are_rooms=are_rooms,
+        furniture=furniture,
     )
 
 
@@ -206,6 +219,7 @@ def _describe_frame(
     levelled: bool,
     with_tokens: bool,
     with_shapes: bool,
+    furniture: FurnitureNetwork | None,
 ) -> tuple[NDArray[np.float32], tuple[LevelledFeatures, ...]]:
     """Return the BOF descriptors of a frame, and the levelled features of it and its copies."""
     frame, gravity_camera = views[0]
@@ -213,7 +227,11 @@ def _describe_frame(
         descriptors(frame, params, gravity_camera=gravity_camera),
         tuple(
             levelled_features(
-                view, gravity_camera=down, with_shapes=with_shapes, with_tokens=with_tokens
+                view,
+                gravity_camera=down,
+                with_shapes=with_shapes,
+                with_tokens=with_tokens,
+                furniture=furniture,
             )
             for view, down in views
             if levelled
@@ -268,6 +286,7 @@ def fit_model(
                 copies=list(compress(described.copies, labelled)),
                 weights=np.ones(len(labels)) if described.are_rooms else None,
                 network=room_network(seed) if described.are_rooms else None,
+                furniture=described.furniture,
                 seed=seed,
             )
         if constellation:

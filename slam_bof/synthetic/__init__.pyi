@@ -43,6 +43,7 @@ from .lidar import (
 )
 from .rooms import (
     FIRST_KINDS as FIRST_KINDS,
+    PIECES as PIECES,
     ROOM_KINDS as ROOM_KINDS,
     make_room as make_room,
 )
@@ -64,6 +65,7 @@ from .twin import (
     write_twin as write_twin,
 )
 from .views import (
+    furnished_views as furnished_views,
     messy_views as messy_views,
     training_views as training_views,
 )

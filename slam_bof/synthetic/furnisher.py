@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from slam_bof.synthetic.furniture import Maker
@@ -66,7 +68,7 @@ class Furnisher:
         for _ in range(n):
             if self.rng.random() > chance:
                 continue
-            piece = _in_front_of_wall(maker(self.rng))
+            piece = _in_front_of_wall(_make(maker, self.rng))
             low, high = piece.bounds()
             for _ in range(_TRIES):
                 wall = int(self.rng.integers(4))
@@ -82,7 +84,7 @@ class Furnisher:
         for _ in range(n):
             if self.rng.random() > chance:
                 continue
-            piece = _in_front_of_wall(maker(self.rng))
+            piece = _in_front_of_wall(_make(maker, self.rng))
             low, high = piece.bounds()
             for place in self.rng.permutation(8):
                 wall = int(place // 2)
@@ -98,7 +100,7 @@ class Furnisher:
         for _ in range(n):
             if self.rng.random() > chance:
                 continue
-            piece = maker(self.rng)
+            piece = _make(maker, self.rng)
             low, high = piece.bounds()
             centred = piece.placed(*(-(low + high) / 2)[:2])
             for attempt in range(_TRIES):
@@ -114,7 +116,7 @@ class Furnisher:
 
     def near(self, maker: Maker, x: float, y: float, *, spread: float = 0.3) -> bool:
         """Place a piece around a point at a random angle; return whether there was space."""
-        piece = maker(self.rng)
+        piece = _make(maker, self.rng)
         low, high = piece.bounds()
         centred = piece.placed(*(-(low + high) / 2)[:2])
         for _ in range(_TRIES):
@@ -128,7 +130,7 @@ class Furnisher:
         """Hang a piece from the ceiling, near the middle."""
         x = self.width * self.rng.uniform(0.4, 0.6)
         y = self.depth * self.rng.uniform(0.4, 0.6)
-        piece = maker(self.rng).placed(x, y, height)
+        piece = _make(maker, self.rng).placed(x, y, height)
         # A head that passes below must not touch the lamp.
         near = np.hypot(self._clear[:, 0] - x, self._clear[:, 1] - y) < 0.8
         if not near.any():
@@ -151,6 +153,12 @@ class Furnisher:
         self.meshes.append(mesh)
         self._boxes.append(bounds)
         return True
+
+
+def _make(maker: Maker, rng: np.random.Generator) -> Mesh:
+    """Make a piece of furniture that knows its kind, the name of what made it."""
+    made = maker(rng)
+    return made if made.piece else replace(made, piece=maker.__name__.strip("_"))
 
 
 def _in_front_of_wall(piece: Mesh) -> Mesh:

@@ -25,10 +25,14 @@ _BOX_FACES = np.array(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles (F, 3, 3), corner by corner in metres, and their colours (F, 3)."""
+    """Triangles (F, 3, 3), corner by corner in metres, and their colours (F, 3).
+
+    ``piece`` is the kind of furniture that it is, empty if it is none or several.
+    """
 
     triangles: Array = field(default_factory=lambda: np.empty((0, 3, 3)))
     albedo: Array = field(default_factory=lambda: np.empty((0, 3)))
+    piece: str = ""
 
     def __len__(self) -> int:
         """Return the number of triangles."""
@@ -43,7 +47,7 @@ class Mesh:
         """Turn by ``yaw`` (radians) about the vertical through the origin, then move."""
         c, s = np.cos(yaw), np.sin(yaw)
         R = np.array([(c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)])
-        return Mesh(self.triangles @ R.T + (x, y, z), self.albedo)
+        return Mesh(self.triangles @ R.T + (x, y, z), self.albedo, self.piece)
 
 
 def merge(meshes: Iterable[Mesh]) -> Mesh:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam_bof.synthetic import furniture as f
 from slam_bof.synthetic.furnisher import Furnisher
@@ -13,7 +14,7 @@ from slam_bof.synthetic.meshes import Mesh, merge
 from slam_bof.synthetic.walls import Opening, shell, wall_length
 from slam_bof.types import Array
 
-__all__ = ["FIRST_KINDS", "ROOM_KINDS", "Room", "make_room"]
+__all__ = ["FIRST_KINDS", "PIECES", "ROOM_KINDS", "Room", "make_room"]
 
 DOOR_WIDTH_M = 0.92
 DOOR_HEIGHT_M = 2.05
@@ -21,12 +22,16 @@ DOOR_HEIGHT_M = 2.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Room:
-    """A furnished room: its corner at the origin, ``size`` (3,), ``boxes`` (K, 2, 3) in the way."""
+    """A furnished room: its corner at the origin, ``size`` (3,), ``boxes`` (K, 2, 3) in the way.
+
+    ``pieces`` (F,) is the kind of furniture that each triangle is of, by its number in ``PIECES``.
+    """
 
     kind: str
     size: Array
     mesh: Mesh
     boxes: Array
+    pieces: NDArray[np.uint8] = field(default_factory=lambda: np.zeros(0, np.uint8))
 
 
 def _kitchen(p: Furnisher) -> None:
@@ -144,7 +149,8 @@ def _filler(rng: np.random.Generator) -> Mesh:
     """Make one of the pieces that occur in rooms of all kinds."""
     makers = (f.picture, f.wall_shelf, f.wall_cabinet, f.sconce, f.boxes, f.plant, f.cabinet)
     chance = (0.15, 0.2, 0.2, 0.1, 0.15, 0.1, 0.1)
-    return makers[rng.choice(len(makers), p=chance)](rng)
+    maker = makers[rng.choice(len(makers), p=chance)]
+    return replace(maker(rng), piece=maker.__name__.strip("_"))
 
 
 def _scatter(placer: Furnisher) -> None:
@@ -189,6 +195,15 @@ FIRST_KINDS = tuple(_FURNISH)[:7]
 """The kinds that the purely synthetic model knows."""
 ROOM_KINDS = tuple(sorted(_FURNISH))
 """The kinds of rooms that can be made, which are the scene labels of the synthetic world."""
+PIECES = (
+    "", "bathtub", "toilet", "wash_basin", "washing_machine", "shower", "towel_rail", "bed", "sofa",
+    "armchair", "tv_stand", "floor_lamp", "ceiling_lamp", "sconce", "plant", "boxes", "bin",
+    "whiteboard", "picture", "radiator", "counter", "fridge", "stove", "bookshelf", "cabinet",
+    "wardrobe", "nightstand", "shoe_rack", "coat_rack", "console", "wall_shelf", "wall_cabinet",
+    "chair", "dining_set", "conference_set", "banquet_set", "desk_rows", "desk", "office_chair",
+    "coffee_table",
+)  # fmt: skip
+"""Kinds of furniture. The first is what is none: walls, floor, ceiling, doors and windows."""
 
 
 def make_room(
@@ -255,7 +270,10 @@ def make_room(
         placer.against_wall(f.radiator)
     placer.hanging(f.ceiling_lamp, height)
     walls = shell(width, depth, height, openings, rng)
-    return Room(kind, np.array(size), merge([walls, *placer.meshes]), placer.boxes())
+    parts = [walls, *placer.meshes]
+    numbers = np.array([PIECES.index(part.piece) for part in parts], np.uint8)
+    pieces = np.repeat(numbers, [len(part) for part in parts])
+    return Room(kind, np.array(size), merge(parts), placer.boxes(), pieces)
 
 
 def _random_openings(

@@ -14,7 +14,7 @@ from slam_bof.synthetic.sensor import SensorModelParams, sense
 from slam_bof.synthetic.tour import FRAME_RATE_HZ, camera_poses
 from slam_bof.types import Array, DepthFrame, Intrinsics, Pose
 
-__all__ = ["messy_views", "shaded_views", "training_views"]
+__all__ = ["furnished_views", "messy_views", "shaded_views", "training_views"]
 
 _TRIES = 200
 _ELONGATED = 2.5
@@ -75,6 +75,29 @@ def messy_views(kind: str, seed: int, n_views: int) -> Iterator[tuple[DepthFrame
         T_world_camera, view = _look(room, scene, rng, (0.8, 1.9), along=is_elongated)
         gravity_camera = T_world_camera[:3, :3].T @ np.array([0.0, 0.0, -1.0])
         yield DepthFrame(i / FRAME_RATE_HZ, view.depth_m, scene.intrinsics), gravity_camera
+
+
+def furnished_views(
+    kind: str, seed: int, n_views: int, *, messy: bool
+) -> Iterator[tuple[DepthFrame, Array, NDArray[np.uint8]]]:
+    """Yield exact views of one random room, each with gravity and the furniture in it.
+
+    Images and viewpoints are like those of ``messy_views``, with heights of ``training_views``
+    where the room is not messy. The third item (240, 320) is the kind of furniture that a pixel
+    shows, by its number in ``PIECES``. Parameters are those of ``training_views`` and
+    ``make_room``.
+    """
+    room = make_room(kind, seed, messy=messy)
+    scene = Scene3D(room.mesh, _SMALL_CAMERA)
+    rng = np.random.default_rng([seed, 21])
+    heights_m = (0.8, 1.9) if messy else (1.1, 1.7)
+    is_elongated = bool(room.size[1] > _ELONGATED * room.size[0])
+    for i in range(n_views):
+        T_world_camera, view = _look(room, scene, rng, heights_m, along=is_elongated)
+        gravity_camera = T_world_camera[:3, :3].T @ np.array([0.0, 0.0, -1.0])
+        frame = DepthFrame(i / FRAME_RATE_HZ, view.depth_m, scene.intrinsics)
+        pieces = np.where(view.triangle >= 0, room.pieces[view.triangle], 0)
+        yield frame, gravity_camera, pieces.astype(np.uint8)
 
 
 def _views(

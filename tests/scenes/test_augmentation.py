@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from levelled_scene import empty_frame, table_frame
 
-from slam_bof.scenes import remeasure
+from slam_bof.scenes import remeasure, remeasure_labelled
 from slam_bof.scenes.levelled_cloud import levelled_cloud
 
 
@@ -41,3 +41,15 @@ def test_nothing_stays_nothing():
     seen, gravity = remeasure(empty_frame(), np.random.default_rng(0))
     assert not seen.depth.any()
     assert gravity is None
+
+
+def test_labels_stay_with_their_pixels():
+    frame = table_frame(eye_m=1.5)
+    near = np.asarray(frame.depth_m()) < 2.5
+    rng, plain = np.random.default_rng(3), np.random.default_rng(3)
+    for _ in range(10):
+        seen, _, labels = remeasure_labelled(frame, near.astype(np.uint8), rng)
+        np.testing.assert_array_equal(seen.depth, remeasure(frame, plain)[0].depth)
+        assert labels.shape == seen.depth.shape
+        clearly = (seen.depth > 0) & (np.abs(seen.depth - 2.5) > 0.4)
+        assert ((seen.depth < 2.5) == labels)[clearly].mean() > 0.98

@@ -6,7 +6,7 @@ from levelled_scene import empty_frame, table_frame
 
 from slam_bof.scenes import LevelledClassifier, levelled_features
 from slam_bof.scenes.height_profile import FLOOR_SEEN, N_PROFILE_VALUES, SURFACE_SHARE
-from slam_bof.scenes.levelled_classifier import Warming, fit_certainty
+from slam_bof.scenes.levelled_classifier import Warming, _agreed, fit_certainty
 from slam_bof.scenes.mlp_ensemble import MlpEnsemble
 from slam_bof.scenes.shape_words import N_SHAPE_VALUES
 
@@ -103,12 +103,27 @@ def test_a_label_is_less_certain_where_a_view_says_less(scenes, name, value, war
 def test_both_heights_count_where_two_are_possible(scenes):
     low, other = (levelled_features(frame) for frame, _ in list(frames(2))[:2])
     p, q = (scenes.label_features(item).probabilities for item in (low, other))
-    mean = scenes.label_features(replace(low, otherwise=other)).probabilities
-    np.testing.assert_allclose(mean, (p + q) / 2)
+    agreed = scenes.label_features(replace(low, otherwise=other)).probabilities
+    both = np.sqrt(p * q)
+    np.testing.assert_allclose(agreed, both + (1.0 - both.sum()) / len(p))
+    assert agreed.sum() == pytest.approx(1.0)
+    same = scenes.label_features(replace(low, otherwise=low)).probabilities
+    np.testing.assert_allclose(same, p)
     near = levelled_features(table_frame(eye_m=0.5, pitch=0.5, ahead_m=6.0))
     assert near.profile[FLOOR_SEEN] == 0.0
     assert near.otherwise.profile[FLOOR_SEEN] == 1.0
     assert near.otherwise.profile[FLOOR_SEEN - 1] == pytest.approx(0.5, abs=0.03)
+
+
+def test_repeated_views_are_not_certain_of_what_only_one_height_says():
+    # A counter if the camera is high, a bare floor, which says nothing, if it is low.
+    high = np.array([0.70, *[0.0375] * 8])
+    low = np.array([0.04, *[0.12] * 8])
+    agreed, mean = _agreed(high, low), (high + low) / 2
+    assert agreed.argmax() == 0
+    pooled = [p**2.5 / (p**2.5).sum() for p in (agreed, mean)]
+    assert pooled[0].max() < 0.5 < pooled[1].max()
+    np.testing.assert_allclose(_agreed(np.eye(2)[0], np.eye(2)[1]), 0.5)
 
 
 def profiles(n, floor_seen=1.0, surface_share=1.0):

@@ -23,9 +23,9 @@ def test_keyframes_are_labelled_as_the_run_labels_them(script, write_turn, tmp_p
     chosen = config.override(
         script["tour_config"](), ["keyframes.policy=every", "keyframes.every=1"]
     )
-    tour = script["record_tour"](folder, chosen)
-    assert len(tour.keyframes) == 5
     classifier = models.resolve("default").levelled_classifier
+    tour = script["record_tour"](folder, chosen, classifier.furniture)
+    assert len(tour.keyframes) == 5
     alone, live, smoothed = tour.label(classifier, chosen.labels)
     for keyframe, by_itself, online in zip(tour.keyframes, alone, live, strict=True):
         np.testing.assert_array_equal(by_itself.probabilities, keyframe.scene.probabilities)

@@ -3,10 +3,14 @@
 from argparse import Namespace
 
 import numpy as np
+import pytest
 
-from slam_bof.synthetic import FIRST_KINDS, Scene3D, make_flat, make_tour
+from slam_bof.synthetic import FIRST_KINDS, PIECES, ROOM_KINDS, Scene3D, make_flat, make_tour
 
-SMALL = {"rooms": 2, "views": 1, "flats": 1, "flat_views": 6, "words": 16, "cost": 0.1, "seed": 0}
+SMALL = {
+    "rooms": 2, "views": 1, "flats": 1, "flat_views": 6, "words": 16, "cost": 0.1, "seed": 0,
+    "new_furniture": False,
+}  # fmt: skip
 
 
 def test_rendered_views_are_used_again_and_train_the_same_model(load_script, tmp_path, monkeypatch):
@@ -24,6 +28,19 @@ def test_rendered_views_are_used_again_and_train_the_same_model(load_script, tmp
     np.testing.assert_array_equal(again.vocabulary.words_, words)
     for name, array in model.levelled_classifier.arrays().items():
         np.testing.assert_array_equal(again.levelled_classifier.arrays()[name], array)
+
+
+def test_furniture_is_learnt_to_the_same_weights(load_script):
+    pytest.importorskip("torch")
+    script = load_script("train_default_model")
+    args = Namespace(
+        new_furniture=True, furniture_rooms=1, furniture_views=1, furniture_epochs=2, seed=0
+    )
+    first, again = (script["furniture"](args).arrays() for _ in range(2))
+    assert len(first["piece"]) == len(PIECES)
+    assert len(first["room"]) == len(ROOM_KINDS)
+    for name, weights in first.items():
+        np.testing.assert_array_equal(weights, again[name])
 
 
 def test_views_of_a_flat_have_the_kind_of_the_room_that_they_show(load_script):

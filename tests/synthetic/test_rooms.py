@@ -2,8 +2,10 @@ import numpy as np
 import pytest
 
 from slam_bof.synthetic import (
+    PIECES,
     ROOM_KINDS,
     distance_to_boxes,
+    furnished_views,
     furniture,
     make_room,
     messy_views,
@@ -117,3 +119,20 @@ def test_messy_corridors_are_long_often_bare_and_looked_along():
     assert 3 <= n_bare <= 9
     views = [frame.depth for frame, _ in messy_views("corridor", 4, 8)]
     assert np.mean([np.percentile(depth, 95) > 5.0 for depth in views]) >= 0.5
+
+
+def test_pixels_know_their_furniture():
+    bed, floor = PIECES.index("bed"), 0
+    seen = set()
+    for seed in range(3):
+        for frame, down, pieces in furnished_views("bedroom", seed, 3, messy=True):
+            assert pieces.shape == frame.depth.shape
+            assert np.linalg.norm(down) == pytest.approx(1.0)
+            seen |= set(np.unique(pieces).tolist())
+    assert {floor, bed} <= seen
+    assert PIECES.index("stove") not in seen
+    room = make_room("bedroom", 0)
+    corners = room.mesh.triangles[room.pieces == bed].reshape(-1, 3)
+    assert len(room.pieces) == len(room.mesh)
+    assert corners[:, 2].min() == pytest.approx(0.0, abs=0.01)
+    assert 0.4 < corners[:, 2].max() < 1.6
