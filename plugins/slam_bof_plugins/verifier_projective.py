@@ -42,9 +42,9 @@ class ProjectiveParams(RegistrationQualityParams):
         0.1,
         ge=-1,
         le=1,
-        description="Smallest share of points that are inliers, less those that lie in front of "
-        "what the other view sees; the former is the smaller of both directions, the latter their "
-        "sum.",
+        description="Smallest share of the points that fall where the other view has a depth that "
+        "are inliers, less those in front of what it sees. Inliers and the former are the smaller "
+        "number of both directions, the latter are those of both together.",
     )
     max_free_space_violation_global: float = Field(
         0.1,
@@ -103,6 +103,7 @@ class ProjectiveVerifier:
         overlap, violation = self._aligner.inlier_ratio(query, ids, T)
         agreement = self._aligner.agreement(query, ids, T)
         balance = agreement.inlier_ratio - agreement.free_space_violation
+        balance = balance / np.maximum(agreement.visible_ratio, 1e-9)
         if T_match_query is None:
             reasons = list(map(self._reason_against_found, agreement.free_space_violation))
         else:
@@ -127,8 +128,8 @@ class ProjectiveVerifier:
     def _reason_against_guessed(self, violation: float, balance: float) -> str:
         """Return what speaks against an alignment from a guess, or an empty string.
 
-        ``violation`` is the share of the query's points that violate free space, ``balance`` that
-        of inliers less those of either view that do.
+        ``violation`` is the share of the query's points that violate free space, ``balance`` the
+        inliers less the points of either view that do, as a share of those that can be compared.
         """
         if violation > self.params.max_free_space_violation:
             return _before_what_is_seen(violation)
