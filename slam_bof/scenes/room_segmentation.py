@@ -48,10 +48,11 @@ class RoomSegmentationParams(Params):
         "nearest other room.",
     )
     min_probability: float = Field(
-        0.4,
+        0.6,
         ge=0,
         le=1,
-        description="Least probability of a room's label; a less probable one becomes 'unknown'.",
+        description="Least probability of a room's label; a less probable one becomes 'unknown', "
+        "as that of a keyframe does below labels.min_probability.",
     )
 
 

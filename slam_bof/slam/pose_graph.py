@@ -258,6 +258,8 @@ def _share_of_odometry(by_odometry: Array, tracked: Array, noise: OdometryNoise)
     it has put down to odometry.
     """
     off = _step_differences(by_odometry, tracked)[1]
+    if len(off) == 0:
+        return np.ones(2)
     usual = np.median(np.linalg.norm(off.reshape(-1, 2, 3), axis=2), axis=0)
     return np.asarray(np.minimum(usual / np.maximum(noise.usual_step(), 1e-12), 1.0))
 

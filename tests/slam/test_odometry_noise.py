@@ -275,3 +275,17 @@ def test_what_was_learnt_of_forgotten_keyframes_stays():
     np.testing.assert_array_equal(noises[0].relative_sigmas(), noises[1].relative_sigmas())
     noises[1].add_edge(3, N - 1, np.eye(4))  # of a forgotten keyframe: says nothing
     np.testing.assert_array_equal(noises[0].relative_sigmas(), noises[1].relative_sigmas())
+
+
+def test_of_one_keyframe_with_a_loop_to_an_earlier_session_nothing_is_known():
+    graph = MapGraph(registry.build("backends", "gtsam"))
+    for k in range(2):
+        graph.add_keyframe(
+            Keyframe(k, 0, 0.0, np.eye(4), EMPTY, None, session=k, T_odom_raw=np.eye(4))
+        )
+        graph.add_loops(
+            Loop(1, 0, np.eye(4), 1000.0 * np.eye(6), EdgeKind.LOOP, CandidateSource.VIEW)
+            for _ in range(k)
+        )
+    graph.optimize()
+    np.testing.assert_allclose(graph.poses(), np.tile(np.eye(4), (2, 1, 1)), atol=1e-6)
