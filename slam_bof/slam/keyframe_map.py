@@ -96,7 +96,8 @@ class KeyframeMap:
             seed=config.seed,
         )
         self.graph = MapGraph(
-            registry.build("backends", config.backend.name, config.backend.options)
+            registry.build("backends", config.backend.name, config.backend.options),
+            is_tracked=config.tracking.enabled,
         )
         consistency = config.verification.consistency
         self._culling = KeyframeCulling(

@@ -42,6 +42,8 @@ class MapGraph:
     Steps from keyframe to keyframe are those of tracking. Once it is known how precise odometry
     is beside the edges between keyframes, they become means of odometry and tracking, weighted by
     that, in the final optimisation. If that does not become known, they count like edges there.
+    ``is_tracked`` is whether tracking has weighed odometry against alignment, which then tells of
+    odometry as well.
 
     Attributes
     ----------
@@ -57,8 +59,9 @@ class MapGraph:
         Ids (n,) of the keyframes that were not culled, in order.
     """
 
-    def __init__(self, backend: Backend) -> None:
+    def __init__(self, backend: Backend, *, is_tracked: bool = False) -> None:
         self.backend = backend
+        self._is_tracked = is_tracked
         self.components = MapComponents()
         self.log = LoopLog()
         self.uncertainty = MapUncertainty(self.log)
@@ -222,7 +225,8 @@ class MapGraph:
                 continue
             tracked = np.array([keyframes[k].T_odom_camera for k in ids])
             by_odometry = np.array([noise.T_odom_camera[k] for k in ids])
-            sigmas = noise.relative_sigmas(_share_of_odometry(by_odometry, tracked, noise))
+            own = _share_of_odometry(by_odometry, tracked, noise) if self._is_tracked else 1.0
+            sigmas = noise.relative_sigmas(own)
             if sigmas is not None:
                 is_precise = sigmas.max() <= PRECISE
                 # What is no more precise than edges drifts to one side rather than to and fro.

@@ -128,7 +128,7 @@ def test_of_few_edges_nothing_is_known():
 
 def graph_of(truth, odometry, edges, *, follows=False):
     """Return the graph where tracking follows odometry, or else the edges from one to the next."""
-    graph = MapGraph(registry.build("backends", "gtsam"))
+    graph = MapGraph(registry.build("backends", "gtsam"), is_tracked=True)
     steps = {k: T for i, k, T in edges if i == k - 1}
     T_track = truth[0]
     for k, T_odom_raw in enumerate(odometry):
@@ -190,7 +190,7 @@ def test_where_too_few_edges_tell_the_steps_of_tracking_count_like_edges(seed):
     """Tracking, which knows odometry by frames, has kept it exact."""
     rng = np.random.default_rng(seed)
     truth = motion(rng)[:8]
-    graph = MapGraph(registry.build("backends", "gtsam"))
+    graph = MapGraph(registry.build("backends", "gtsam"), is_tracked=True)
     edges = [edge for edge in edges_of(rng, truth) if edge[1] > edge[0] + 1]
     for k, T in enumerate(truth):
         graph.add_keyframe(Keyframe(k, k, float(k), T, EMPTY, None, T_odom_raw=T))
@@ -278,7 +278,7 @@ def test_what_was_learnt_of_forgotten_keyframes_stays():
 
 
 def test_of_one_keyframe_with_a_loop_to_an_earlier_session_nothing_is_known():
-    graph = MapGraph(registry.build("backends", "gtsam"))
+    graph = MapGraph(registry.build("backends", "gtsam"), is_tracked=True)
     for k in range(2):
         graph.add_keyframe(
             Keyframe(k, 0, 0.0, np.eye(4), EMPTY, None, session=k, T_odom_raw=np.eye(4))
