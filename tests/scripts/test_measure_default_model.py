@@ -28,8 +28,9 @@ def test_keyframes_are_labelled_as_the_run_labels_them(script, write_turn, tmp_p
     assert len(tour.keyframes) == 5
     alone, live, smoothed = tour.label(classifier, chosen.labels)
     for keyframe, by_itself, online in zip(tour.keyframes, alone, live, strict=True):
-        np.testing.assert_array_equal(by_itself.probabilities, keyframe.scene.probabilities)
-        np.testing.assert_array_equal(online.probabilities, keyframe.smoothed.probabilities)
+        # Labelled together, a view's last digits may differ from those of one labelled by itself.
+        for again, before in ((by_itself, keyframe.scene), (online, keyframe.smoothed)):
+            np.testing.assert_allclose(again.probabilities, before.probabilities, rtol=1e-4)
     assert len(smoothed) == 5
     row = script["labels_row"]("turn", "kitchen", tour, (alone, live, smoothed))
     assert set(row) == set(script["TOUR_COLUMNS"])
