@@ -43,24 +43,26 @@ def test_views_of_different_things_are_rejected_in_words(golden):
     assert "overlap" in verified.reason or "before what the other sees" in verified.reason
 
 
-def test_what_blocks_the_view_is_no_loop():
-    """Half of the query stands a metre before the wall that the match sees."""
+def blocked_wall(n_columns):
+    """A wall at 3 m, and the same behind something at 2 m in the first columns."""
     wall = np.full((120, 160), 3.0, np.float32)
     blocked = wall.copy()
-    blocked[:, :70] = 2.0
+    blocked[:, :n_columns] = 2.0
+    return (DepthFrame(0.0, depth, CAMERA) for depth in (wall, blocked))
+
+
+def test_what_blocks_the_view_is_no_loop():
+    """Half of the query stands a metre before the wall that the match sees."""
     verifier = ProjectiveVerifier(ProjectiveParams(min_stiffness=0.0))
-    match, query = (DepthFrame(0.0, depth, CAMERA) for depth in (wall, blocked))
+    match, query = blocked_wall(70)
     verified = verify(verifier, *prepare(verifier, query, match), np.eye(4))
     assert verified.reason == "0.44 of the points stand before what the other sees"
 
 
 def test_a_query_that_looks_through_what_the_match_sees_is_no_loop():
     """It sees half of what the match sees, and a metre behind the rest."""
-    wall = np.full((120, 160), 3.0, np.float32)
-    blocked = wall.copy()
-    blocked[:, :90] = 2.0
     verifier = ProjectiveVerifier(ProjectiveParams(min_stiffness=0.0))
-    match, query = (DepthFrame(0.0, depth, CAMERA) for depth in (blocked, wall))
+    query, match = blocked_wall(90)
     verified = verify(verifier, *prepare(verifier, query, match), np.eye(4))
     assert verified.overlap > verifier.params.min_overlap
     assert verified.reason == "agreement -0.13 below 0.1"
